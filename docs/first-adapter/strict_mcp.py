@@ -1,11 +1,12 @@
-"""The MCP SDK for an adapter whose arguments move a plant: strict arguments, unknown ones refused.
+"""The MCP SDK for an adapter whose arguments move a plant: strict arguments, unknown ones refused, texts that hide nothing.
 
-The SDK turns "5" and true into numbers unless a parameter is strict, drops arguments that a tool does not have, and answers an unknown
-tool with a result. Copy this file beside your adapter.
+The SDK turns "5" and true into numbers unless a parameter is strict, drops arguments that a tool does not have, answers an unknown tool
+with a result, and shows the texts of a device as they are. Copy this file beside your adapter.
 """
 
 from __future__ import annotations
 
+import json
 from typing import Annotated, Any
 
 from mcp import MCPError
@@ -24,6 +25,11 @@ _INVALID_PARAMS = -32602
 def strict(kind: Any, description: str, **limits: Any) -> Any:
     """Return the annotation of a parameter that takes this JSON type alone, within these limits."""
     return Annotated[kind, Field(strict=True, description=description, **limits)]
+
+
+def shown(text: str) -> str:
+    """Return a text without characters that steer a terminal or hide something from a reader: escaped as in JSON, which means the same there."""
+    return "".join(one if one.isprintable() or one in "\n\t" else json.dumps(one)[1:-1] for one in text)
 
 
 class StrictServer(MCPServer):
@@ -49,4 +55,8 @@ class StrictServer(MCPServer):
         if unknown := sorted(set(asked.get("arguments") or {}) - set(tools[name])):
             text = TextContent(type="text", text=f"invalid_argument: {name} has no argument {', '.join(unknown)}")
             return CallToolResult(content=[text], is_error=True, result_type="complete")
-        return await call_next(ctx)
+        result = await call_next(ctx)
+        for block in result.get("content", []):
+            if block["type"] == "text":
+                block["text"] = shown(block["text"])
+        return result

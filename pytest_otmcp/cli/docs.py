@@ -17,6 +17,8 @@ __all__ = ["add_parser", "run"]
 _COPIED = "first-adapter"
 """The folder of adapters and subject files that beginners copy."""
 
+_LEFT_BEHIND = ("__pycache__", "node_modules", "pki")
+
 
 def add_parser(subparsers: Any) -> None:
     """Declare the subcommand."""
@@ -79,11 +81,16 @@ def _pages() -> dict[str, Traversable]:
 
 def _to_copy() -> dict[str, Traversable]:
     """Return the files that a page tells to copy, by their path from the folder of the pages."""
-    first = _folder() / _COPIED
-    found = {f"{_COPIED}/{file.name}": file for file in _entries(first) if file.is_file()}
-    for inner in (folder for folder in _entries(first) if folder.is_dir() and not folder.name.startswith("_")):
-        found |= {f"{_COPIED}/{inner.name}/{file.name}": file for file in _entries(inner) if file.is_file()}
-    return found
+    return dict(_below(_folder() / _COPIED, _COPIED))
+
+
+def _below(folder: Traversable, path: str) -> Iterator[tuple[str, Traversable]]:
+    """Yield the files of a folder and of those in it, without what Python, npm and an adapter leave there."""
+    for entry in _entries(folder):
+        if entry.is_file():
+            yield f"{path}/{entry.name}", entry
+        elif entry.name not in _LEFT_BEHIND:
+            yield from _below(entry, f"{path}/{entry.name}")
 
 
 def _folder() -> Traversable:

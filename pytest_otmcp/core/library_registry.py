@@ -35,7 +35,7 @@ class Library:
     """One library.
 
     Attributes:
-        name: as its package index has it; in small letters the anchor in the page.
+        name: as its package index has it.
         python: the modules by whose import it is seen in a Python program.
         node: the modules by whose import it is seen in a program for Node.js.
     """
@@ -44,6 +44,11 @@ class Library:
     python: tuple[str, ...]
     node: tuple[str, ...]
     hints: tuple[Hint, ...]
+
+    @property
+    def anchor(self) -> str:
+        """The place in the page: the name in small letters, a scope of npm without its marks."""
+        return self.name.lower().removeprefix("@").replace("/", "-")
 
 
 @cache

@@ -1,12 +1,14 @@
 """What an adapter's own program imports: read in the files that its launch command names, never guessed.
 
 A library that is installed beside the adapter is not a library that it uses, and a name in a message proves nothing. A file is
-followed to the files of the adapter beside it, and a console script or ``-m`` to its package; no library's own files are read.
+followed to the files of the adapter beside it, and a console script or ``-m`` to its package; no library's own files are read, and
+nothing is executed.
 """
 
 from __future__ import annotations
 
 import ast
+import os
 import re
 import shutil
 import warnings
@@ -19,8 +21,15 @@ from ..protocols.registry import protocols
 
 __all__ = ["libraries_used"]
 
-_NODE = {".js", ".mjs", ".cjs", ".ts", ".mts"}
-_OF_NODE = re.compile(r"""(?:\bfrom|\bimport|\brequire\s*\()\s*\(?\s*["']([^"'\n]+)["']""")
+_NODE = (".ts", ".mts", ".cts", ".js", ".mjs", ".cjs")
+_OF_NODE = re.compile(
+    r"""
+    //[^\n]* | /\*(?:.*?\*/|.*)  # a comment; one without an end goes on to that of the file
+    | (?<![\w$.])(?:from\s*|import\s*(?:\(\s*)?|require\s*\(\s*)(["'])(?P<name>[^"'\n]+)\1
+    | "(?:\\.|[^"\\\n])*"? | '(?:\\.|[^'\\\n])*'? | `(?:\\.|[^`\\])*`?  # another text
+    """,
+    re.VERBOSE | re.DOTALL,
+)
 _FILES = 200
 _BYTES = 1_000_000
 
@@ -35,11 +44,16 @@ def libraries_used(command: Sequence[str], cwd: Path | None) -> dict[str, str]:
     known = [*libraries().values(), *(one for each in protocols().values() for one in libraries(each.package).values())]
     found: dict[str, str] = {}
     for file in _own_files(command, cwd or Path.cwd()):
-        modules = {name for name in _imported(file) if not name.startswith(".")}
+        modules = {_module(name, file) for name in _imported(file)}
         for library in known:
             if not modules.isdisjoint(_names(library, file)):
                 found.setdefault(library.name, file.name)
     return dict(sorted(found.items()))
+
+
+def _module(name: str, file: Path) -> str:
+    """Return the package of a module of Node.js, which has two parts where it has a scope; a name of Python as it is."""
+    return "/".join(name.split("/")[: 1 + name.startswith("@")]) if file.suffix in _NODE else name
 
 
 def _names(library: Library, file: Path) -> Sequence[str]:
@@ -50,7 +64,9 @@ def _own_files(command: Sequence[str], cwd: Path) -> Iterator[Path]:
     """Yield the files of the adapter's program, each once."""
     program = shutil.which(command[0], path=None) or str(cwd / command[0])
     installed = [*Path(program).parent.parent.glob("lib/python3*/site-packages")]
-    waiting = [cwd / part for part in command if (cwd / part).suffix in {".py", *_NODE}]
+    waiting = [cwd / part for part in command if (cwd / part).suffix in (".py", *_NODE)]
+    # npm links a package's program to a file of the package.
+    waiting += [linked for linked in [Path(os.path.realpath(program))] if linked.suffix in _NODE]
     for place in (place for flag, place in pairwise(command) if flag == "-m"):
         waiting += _modules(place, [cwd, *installed])
     if not waiting and Path(program).suffix == "" and _text(Path(program)).startswith("#!"):
@@ -60,7 +76,7 @@ def _own_files(command: Sequence[str], cwd: Path) -> Iterator[Path]:
     seen: set[Path] = set()
     while waiting and len(seen) < _FILES:
         file = waiting.pop(0)
-        if file in seen or not file.is_file():
+        if file in seen or not _is_file(file):
             continue
         seen.add(file)
         yield file
@@ -73,17 +89,28 @@ def _modules(name: str, places: Sequence[Path]) -> list[Path]:
 
 
 def _beside(file: Path) -> list[Path]:
+    names = _imported(file)
     if file.suffix in _NODE:
-        relative = [file.parent / name for name in _imported(file) if name.startswith(".")]
-        return [path.with_suffix(suffix) for path in relative for suffix in (path.suffix, ".ts", ".js") if suffix]
-    return [] if file.parent.name == "site-packages" else [file.parent / f"{name}.py" for name in _imported(file)]
+        relative = [name for name in names if name.startswith(".") and "node_modules" not in name.split("/")]
+        return [path for name in relative for path in _of_node(Path(os.path.normpath(file.parent / name)))]
+    return [] if file.parent.name == "site-packages" else [file.parent / f"{name}.py" for name in names]
+
+
+def _of_node(path: Path) -> Iterator[Path]:
+    """Yield the files that a path in an import may be about: without its suffix, of a folder, and the source of what tsc makes."""
+    if path.suffix in _NODE:
+        yield path
+    yield from (Path(f"{path}{suffix}") for suffix in _NODE)
+    yield from (path / f"index{suffix}" for suffix in _NODE)
+    if path.suffix in (".js", ".mjs", ".cjs"):
+        yield path.with_suffix(path.suffix.replace("js", "ts"))
 
 
 def _imported(file: Path) -> list[str]:
     """Return what a file imports: the first part of the names of Python modules, the whole names of those of Node.js."""
     source = _text(file)
     if file.suffix in _NODE:
-        return _OF_NODE.findall(source)
+        return [found["name"] for found in _OF_NODE.finditer(source) if found["name"]]
     try:
         with warnings.catch_warnings(action="ignore"):
             tree = ast.parse(source)
@@ -98,10 +125,17 @@ def _imported(file: Path) -> list[str]:
     return [name.split(".")[0] for name in names]
 
 
-def _text(file: Path) -> str:
+def _is_file(file: Path) -> bool:
     try:
-        if not file.is_file():
-            return ""
+        return file.is_file()
+    except OSError:  # a name that is too long for one
+        return False
+
+
+def _text(file: Path) -> str:
+    if not _is_file(file):
+        return ""
+    try:
         with file.open("rb") as stream:
             return stream.read(_BYTES).decode("utf-8", "replace")
     except OSError:

@@ -205,7 +205,8 @@ def _variant(adapter: Mapping[str, Any], name: str, adapter_key: str, directory:
 def _directory(table: Mapping[str, Any], key: str, within: Path) -> Path | None:
     if "cwd" not in table:
         return None
-    cwd: Path = within / table["cwd"]
+    # Absolute: what starts the adapter is not where the kit is.
+    cwd: Path = (within / table["cwd"]).resolve()
     if not cwd.is_dir():
         raise Refusal(f"{key}.cwd", f"{cwd} is not a directory")
     return cwd

@@ -29,4 +29,4 @@ def advice(requirement: str, used: Collection[str] | None = None) -> Iterator[st
         if used is None or name in used:
             for hint in library.hints:
                 if requirement in hint.requirements:
-                    yield f"{name}: {hint.change} ({PAGE}#{name.lower()})"
+                    yield f"{name}: {hint.change} ({PAGE}#{library.anchor})"

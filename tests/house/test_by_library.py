@@ -7,16 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.suite.by_library import PAGE, known_libraries
+from pytest_otmcp.subject.imports import libraries_used
+from pytest_otmcp.suite.by_library import PAGE, advice, known_libraries
 from pytest_otmcp.suite.requirements import requirements
+from tests.stock.test_typescript import FOUND
 
 CHECKOUT = Path(__file__).parents[2]
 PARTS = re.split(r'^<a id="([a-z0-9-]+)"></a>$', (CHECKOUT / PAGE).read_text(encoding="utf-8"), flags=re.MULTILINE)
+FIRST = (CHECKOUT / "docs" / "first-adapter.md").read_text(encoding="utf-8")
 BY_ANCHOR = dict(zip(PARTS[1::2], PARTS[2::2], strict=True))
 
 
 def test_the_page_has_every_library() -> None:
-    assert {name.lower() for name in known_libraries()} <= BY_ANCHOR.keys()
+    assert {library.anchor for library in known_libraries().values()} <= BY_ANCHOR.keys()
 
 
 @pytest.mark.parametrize("name", known_libraries())
@@ -25,7 +28,20 @@ def test_every_hint_is_about_rows_that_the_page_explains_under_the_library(name:
     assert library.python or library.node
     cited = {row for hint in library.hints for row in hint.requirements}
     assert cited <= requirements().keys()
-    assert {row for row in cited if row not in BY_ANCHOR[name.lower()]} == set()
+    assert {row for row in cited if row not in BY_ANCHOR[library.anchor]} == set()
+
+
+def test_every_anchor_that_a_page_leads_to_is_there() -> None:
+    led_to = re.findall(r"\]\((?:by-library\.md)?#([^)]+)\)", "".join(PARTS) + FIRST)
+    assert set(led_to) == BY_ANCHOR.keys()
+
+
+@pytest.mark.parametrize("protocol", FOUND)
+def test_every_finding_of_an_adapter_in_typescript_is_told_what_to_change(protocol: str) -> None:
+    used = libraries_used(
+        ["node", "as-first-written.ts"], CHECKOUT / "docs" / "first-adapter" / "typescript" / protocol
+    )
+    assert {row for rows in FOUND[protocol].values() for row in rows if not list(advice(row, used))} == set()
 
 
 def test_the_page_cites_rows_of_the_catalogue_alone() -> None:

@@ -45,7 +45,7 @@ def _build(directory: Path) -> str:
     _quietly(sys.executable, "-m", "pip", "install", "--quiet", "--target", tools, "setuptools>=77", cwd=directory)
     env = {**os.environ, "PYTHONPATH": str(tools)}
     source = directory / "source"
-    clutter = shutil.ignore_patterns("__pycache__", "*.pyc", "*.egg-info")
+    clutter = shutil.ignore_patterns("__pycache__", "*.pyc", "*.egg-info", "node_modules", "pki")
     for folder in FOLDERS:
         shutil.copytree(CHECKOUT / folder, source / folder, ignore=clutter)
     shutil.copytree(CHECKOUT / "docs", source / "docs", ignore=clutter)

@@ -60,7 +60,9 @@ def test_the_wheel_holds_every_file_of_the_kit_and_one_import_name(wheel: Path) 
     }
     docs = CHECKOUT / "docs"
     copied = (
-        path for path in (docs / "first-adapter").rglob("*") if path.is_file() and "__pycache__" not in path.parts
+        path
+        for path in (docs / "first-adapter").rglob("*")
+        if path.is_file() and not {"__pycache__", "node_modules", "pki"} & {*path.parts}
     )
     expected |= {f"pytest_otmcp/docs/{path.relative_to(docs)}" for path in (*docs.glob("*.md"), *copied)}
     shipped = {name for name in names if name.startswith("pytest_otmcp/")}

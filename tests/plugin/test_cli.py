@@ -110,7 +110,13 @@ def test_the_pages_of_the_documentation_are_listed_and_printed(capsys: pytest.Ca
     for name in ("subject-file", "docs/subject-file.md"):
         assert cli.main(["docs", name]) == 0
         assert capsys.readouterr().out == (docs / "subject-file.md").read_text()
-    for name in ("first-adapter/modbus.py", "docs/first-adapter/first/modbus.toml"):
+    typescript = "first-adapter/typescript"
+    for name in (
+        "first-adapter/modbus.py",
+        "docs/first-adapter/first/modbus.toml",
+        f"{typescript}/tools.ts",
+        f"{typescript}/modbus/adapter.ts",
+    ):
         assert cli.main(["docs", name]) == 0
         assert capsys.readouterr().out == (docs / name.removeprefix("docs/")).read_text()
     assert cli.main(["docs", "subjectfile"]) == 2

@@ -36,15 +36,15 @@ ADAPTERS = {"modbus": "modbus", "modbus_async": "modbus", "mqtt": "mqtt", "opcua
 VIOLATED = {
     "modbus": "ADR-004 MCP-004 MCP-005 RD-004 RD-005 TMO-001 TMO-003 WR-003 WR-005 WR-009 WR-010",
     "modbus_async": "ADR-004 MCP-004 MCP-005 RD-004 RD-005 TMO-001 WR-003 WR-005 WR-009",
-    "mqtt": "ADR-006 ADR-007 ENC-006 ERR-004 MCP-002 MCP-004 MCP-005 MQT-001 MQT-002 MQT-004 RD-004 REC-002 REC-004 WR-003 WR-005 WR-010",
-    "opcua": "ADR-003 MCP-002 MCP-004 MCP-005 OUA-001 REC-001 WR-005",
+    "mqtt": "ADR-006 ADR-007 ENC-006 ERR-004 INJ-002 MCP-002 MCP-004 MCP-005 MQT-001 MQT-002 MQT-004 RD-004 REC-002 REC-004 WR-003 WR-005 WR-010",
+    "opcua": "ADR-003 INJ-002 MCP-002 MCP-004 MCP-005 OUA-001 REC-001 WR-005",
 }
 """MUSTs that each first form violates in every run; on a busy machine a deadline may be missed as well."""
 
 SAMPLE = {
     "modbus": {"M1": "RD-004", "M4": "WR-005", "WR-009.modbus": "WR-009", "ADR-004.modbus": "ADR-004"},
-    "mqtt": {"Q1": "RD-004", "Q2": "", "S2": "", "MQT-002.mqtt": "MQT-002"},
-    "opcua": {"O1": "", "O3": "WR-005", "OUA-001.opcua": "OUA-001"},
+    "mqtt": {"Q1": "RD-004", "Q2": "", "S2": "", "MQT-002.mqtt": "MQT-002", "INJ-002.mqtt": "INJ-002"},
+    "opcua": {"O1": "", "O3": "WR-005", "OUA-001.opcua": "OUA-001", "INJ-002.opcua": "INJ-002"},
 }
 """A few items of each protocol, with exactly the rows that the first forms violate in them."""
 

@@ -55,7 +55,7 @@ FOUND: dict[str, dict[str, set[str]]] = {
     },
     "mqtt": {
         "Q1": {"RD-004"},
-        "FQ1": {"ADR-006", "ERR-006", "MCP-009"},
+        "FQ1": {"ADR-006", "MCP-009"},
         "FQ2": {"ADR-007", "MQT-002"},
         "MCP-004.mqtt": {"MCP-004"},
         "MCP-005.mqtt": set(),
@@ -65,6 +65,7 @@ FOUND: dict[str, dict[str, set[str]]] = {
         "ENC-006.mqtt": {"ENC-006"},
         "TMO-001.mqtt": {"TMO-001"},
         "MQT-001.mqtt": {"TMO-001", "WR-003"},
+        "INJ-002.mqtt": {"INJ-002"},
     },
     "opcua": {
         # What node-opcua prints at the very first start.
@@ -74,6 +75,7 @@ FOUND: dict[str, dict[str, set[str]]] = {
         "MCP-005.opcua": set(),
         "ADR-003.opcua": {"ADR-003"},
         "OUA-005.opcua": {"OUA-005"},
+        "INJ-002.opcua": {"INJ-002"},
     },
 }
 """Of each adapter as it was first written: items, and the requirements that their findings cite; of none where it is right."""

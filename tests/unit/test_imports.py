@@ -62,3 +62,86 @@ def test_words_about_a_library_and_files_that_are_no_program_prove_nothing(tmp_p
 def test_a_program_that_cannot_be_read_uses_nothing_known(tmp_path: Path) -> None:
     assert libraries_used(["no-such-program"], tmp_path) == {}
     assert libraries_used(["docker", "run", "acme/adapter"], tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'import mqtt from "mqtt";',
+        "import * as mqtt from 'mqtt';",
+        'import {\n  connect, // the client\n  type MqttClient,\n} from "mqtt";',
+        'import{connect}from"mqtt";',
+        'import "mqtt";',
+        'export { connect } from "mqtt";',
+        'const mqtt = require("mqtt");',
+        "const { connect } = require( 'mqtt/dist/mqtt.js' );",
+        'const mqtt = await import("mqtt");',
+        'const url = "http://127.0.0.1"; const mqtt = require("mqtt");',
+        '#!/usr/bin/env node\n/* from */ import mqtt from "mqtt";',
+    ],
+)
+@pytest.mark.parametrize("name", ["server.js", "server.mjs", "server.cjs", "server.ts", "server.mts", "server.cts"])
+def test_a_program_for_node_imports_a_package_in_any_form(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    assert libraries_used(["node", "--import", "tsx", name, "--verbose"], tmp_path) == {"mqtt": name}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '// import mqtt from "mqtt";',
+        '/*\n * import mqtt from "mqtt";\n */',
+        '/* import mqtt from "mqtt";',
+        "console.log('import mqtt from \"mqtt\"');",
+        'const help = `\nimport mqtt from "mqtt";\n`;',
+        'import mqtt from "mqtt-mock";',
+        'import mqtt from "@acme/mqtt";',
+        'import mqtt from "acme/mqtt";',
+        'const kinds = Array.from("mqtt"); plc.import("mqtt"); own_require("mqtt");',
+        'import mqtt from "./mqtt";',
+        'import mqtt from "./node_modules/mqtt/index.js";',
+        'import mqtt from "node:mqtt',
+        'import "./' + "x" * 300 + '";',
+        "/*" * 100_000,
+        "import " + " " * 100_000,
+        "`" * 99_999,
+        "\0",
+    ],
+)
+def test_words_about_a_package_of_node_prove_nothing(tmp_path: Path, text: str) -> None:
+    write(tmp_path, server_dot_js=text, node_modules__mqtt__index_dot_js='import "mqtt";')
+    assert libraries_used(["node", "server.js"], tmp_path) == {}
+
+
+def test_a_program_for_node_is_followed_to_the_adapters_own_files_alone(tmp_path: Path) -> None:
+    write(tmp_path, dist__index_dot_js='import "../src/plc.js"; import "./tags";\nconst { log } = require("./log");')
+    write(tmp_path, src__plc_dot_ts='import "modbus-serial";\nimport "../dist/index.js";')
+    write(tmp_path, dist__tags__index_dot_js='import "mqtt";', dist__log_dot_cjs='require("node-opcua");')
+    write(tmp_path, src__other_dot_ts='import "@modelcontextprotocol/sdk";', node_modules__mqtt__index_dot_js="")
+    assert libraries_used(["node", "dist/index.js"], tmp_path) == {
+        "modbus-serial": "plc.ts",
+        "mqtt": "index.js",
+        "node-opcua": "log.cjs",
+    }
+
+
+def test_a_program_that_npm_has_linked_leads_to_its_package(tmp_path: Path) -> None:
+    modules = tmp_path / "node_modules"
+    write(modules, acme__index_dot_js='#!/usr/bin/env node\nimport "modbus-serial";\n', modbus_dot_js='import "mqtt";')
+    (modules / "acme" / "index.js").chmod(0o755)
+    (modules / ".bin").mkdir()
+    (modules / ".bin" / "acme").symlink_to("../acme/index.js")
+    assert libraries_used(["node_modules/.bin/acme"], tmp_path) == {"modbus-serial": "index.js"}
+
+
+@pytest.mark.parametrize("name", ["as-first-written.ts", "adapter.ts"])
+@pytest.mark.parametrize(
+    ("protocol", "library"), [("modbus", "modbus-serial"), ("mqtt", "mqtt"), ("opcua", "node-opcua")]
+)
+def test_the_adapters_of_the_documentation_are_seen_to_use_their_libraries(
+    protocol: str, library: str, name: str
+) -> None:
+    folder = Path(__file__).parents[2] / "docs" / "first-adapter" / "typescript" / protocol
+    used = libraries_used(["node", "--import", "tsx", name], folder)
+    assert used.keys() == {"@modelcontextprotocol/sdk", library}
+    assert used[library] == name

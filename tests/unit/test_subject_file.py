@@ -100,6 +100,16 @@ def test_a_command_for_each_variant_is_enough(tmp_path: Path) -> None:
     assert {name: variant.command for name, variant in variants.items()} == {"rw": ("one",), "ro": ("other",)}
 
 
+def test_a_working_directory_is_that_of_the_file_however_the_file_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "otmcp.toml").write_text(f'{LAUNCH}cwd = "."\n', encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    # otmcp doctor names the file in this way.
+    adapter = load_subject(Path("otmcp.toml")).adapters["modbus"]
+    assert adapter.variants["rw"].cwd == tmp_path.resolve()
+
+
 def test_an_argument_template_is_filled_with_inputs_and_endpoint(tmp_path: Path) -> None:
     text = FOREIGN + (
         '[adapter.modbus.bind.read_holding]\ntool = "read"\n'

@@ -22,8 +22,14 @@ export class Failure extends Error {
 
 type Content = Record<string, unknown>;
 
+/** JSON without characters that steer a terminal or hide something from a reader: escaped, they mean the same to a program. */
+function shown(content: Content): string {
+  const escaped = (unit: string) => `\\u${unit.charCodeAt(0).toString(16).padStart(4, "0")}`;
+  return JSON.stringify(content).replace(/[\p{Cc}\p{Cf}\p{Co}\p{Cs}]/gu, (character) => character.split("").map(escaped).join(""));
+}
+
 function answer(content: Content, isError: boolean): CallToolResult {
-  return { content: [{ type: "text", text: JSON.stringify(content) }], structuredContent: content, isError };
+  return { content: [{ type: "text", text: shown(content) }], structuredContent: content, isError };
 }
 
 /** Register a tool that refuses arguments that its schema does not name, and whose every failure has a code. */
