@@ -41,8 +41,6 @@ from .stdio import StdioTransport
 __all__ = ["McpSession", "SessionOptions"]
 
 
-_LASTED_NS = 1_000_000_000
-"""Age of a session that is asked for its list of tools once more."""
 _LIST_S = 2.0
 
 
@@ -274,9 +272,11 @@ class McpSession:
         raise SubjectError("session_lost", await self.death_note())
 
     async def tools_changed(self) -> ToolsChanged | None:
-        """Ask for the list of tools once more, in a session that has lasted for a while, and compare it with the first; None where it is
-        the same, or there is no answer."""
-        if self.died or self._floods or not self.ready_ns or time.monotonic_ns() - self.ready_ns < _LASTED_NS:
+        """Ask for the list of tools once more and compare it with the first; None where it is the same, or there is no answer.
+
+        A young session is asked as well: how long an item takes must not decide what is found.
+        """
+        if self.died or self._floods or not self.ready_ns:
             return None
         try:
             now = await self.list_anew(timeout_s=_LIST_S)
