@@ -137,8 +137,8 @@ MUTANTS = (
         protocol="modbus",
         sentence="The bytes of every register are swapped, in reads and writes alike.",
         bend=swapped_bytes,
-        items="M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
-        requirements="RD-001 not_proven",
+        items="M2 M3 M4 X1 X2 X1p X2p FM1 FX1 S1 S4 S7",
+        requirements="CON-004 ENC-001 RD-001 WR-001",
     ),
     Mutant(
         id="MU-07",

@@ -116,7 +116,7 @@ MUTANTS = (
         protocol="mqtt",
         sentence="The field numbers of Float and Double values are swapped.",
         bend=swapped_field_numbers,
-        items="Q4",
+        items="Q4 S11",
         requirements="SPB-001",
     ),
     Mutant(
@@ -124,7 +124,7 @@ MUTANTS = (
         protocol="mqtt",
         sentence="CONNECT carries no will.",
         bend=no_will,
-        items="Q4",
+        items="Q4 S11",
         requirements="SPB-006",
     ),
     Mutant(
@@ -141,7 +141,7 @@ MUTANTS = (
         protocol="mqtt",
         sentence="NBIRTH is published with QoS 1.",
         bend=births(lambda birth: replace(birth, qos=1)),
-        items="Q4",
+        items="Q4 S11",
         requirements="SPB-002",
     ),
     Mutant(
@@ -149,7 +149,7 @@ MUTANTS = (
         protocol="mqtt",
         sentence="NBIRTH is retained.",
         bend=births(lambda birth: replace(birth, retain=True)),
-        items="Q4",
+        items="Q4 S11",
         requirements="SPB-002",
     ),
     Mutant(

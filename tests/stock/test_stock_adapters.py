@@ -96,7 +96,13 @@ def words(results: Results) -> str:
     return "\n".join(f"{name}: {one['requirement']} {one['message']}" for name, one in findings)
 
 
-@pytest.mark.parametrize(("name", "protocol"), ADAPTERS.items())
+SAMPLED = [
+    pytest.param(*pair, marks=() if pair[0] in ("modbus", "mqtt") else pytest.mark.long) for pair in ADAPTERS.items()
+]
+"""Two of them are run in every test run."""
+
+
+@pytest.mark.parametrize(("name", "protocol"), SAMPLED)
 def test_a_first_form_violates_what_the_documents_say_and_is_told_of_its_libraries(
     name: str, protocol: str, judge: Judge
 ) -> None:
@@ -107,7 +113,7 @@ def test_a_first_form_violates_what_the_documents_say_and_is_told_of_its_librari
         assert list(advice(row, facts["libraries"])), f"nothing says what to change for {row}"
 
 
-@pytest.mark.parametrize(("name", "protocol"), ADAPTERS.items())
+@pytest.mark.parametrize(("name", "protocol"), SAMPLED)
 def test_a_second_form_keeps_what_the_first_one_violates(name: str, protocol: str, judge: Judge) -> None:
     results, _ = judge(FILES / f"{name}.toml", SAMPLE[protocol])
     assert {result["status"] for result in results.values()} == {"PASS"}, words(results)

@@ -94,8 +94,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-20bw",
         "wr",
-        "WR-004",
-        "WR-004",
+        "WR-004 WR-010",
+        "ERR-006 WR-004",
         guard_after_sending("write_object_by_alias"),
         "With writes disabled an alias is written, and then denied.",
     ),

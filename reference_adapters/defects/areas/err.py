@@ -271,7 +271,7 @@ MUTANTS: tuple[Mutant, ...] = (
         sentence="Every Bad status is a protocol_error.",
         bend=failing("read_opcua_node", "write_opcua_node", change=all_alike),
         items="ERR-003.opcua",
-        requirements="ERR-003 ERR-006",
+        requirements="ERR-003",
         areas="err",
     ),
     Mutant(

@@ -92,8 +92,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-14eiw",
         "wr",
-        "WR-001 WR-002 WR-003 WR-004 WR-005 WR-010",
-        "WR-001",
+        "WR-001 WR-002 WR-003 WR-004 WR-005 WR-006 WR-007 WR-010",
+        "WR-001 WR-006 WR-007",
         _confirmed_at_once,
         "EtherNet/IP writes are told and not sent.",
     ),

@@ -67,8 +67,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-20pw",
         "wr",
-        "WR-004",
-        "WR-004",
+        "WR-004 WR-010",
+        "ERR-006 WR-004",
         guard_after_sending(_WRITE_ALIAS),
         "With writes disabled outputs are written by an alias, and then denied.",
     ),

@@ -40,7 +40,7 @@ def _four_bytes_for_an_int(server: AdapterServer) -> None:
 
 
 def _confirmed_at_once(server: AdapterServer) -> None:
-    async def confirmed(self: Any, call: Call, variables: Any, contents: Any) -> None:
+    async def confirmed(self: Any, call: Call, *arguments: Any, **more: Any) -> None:
         """Send nothing."""
 
     _module("tools").Tools._write = confirmed
@@ -70,8 +70,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-14kw",
         "wr",
-        "WR-001 WR-002 WR-003 WR-004 WR-005 WR-010",
-        "WR-001",
+        "WR-001 WR-002 WR-003 WR-004 WR-005 WR-006 WR-007 WR-010",
+        "WR-001 WR-006 WR-007 WR-011",
         _confirmed_at_once,
         "S7 writes are told and not sent.",
     ),
