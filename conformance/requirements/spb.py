@@ -309,6 +309,8 @@ async def _stays_dead(run: Repetition, mqtt: Rig, dead: str) -> None:
     await mqtt.poke(command={"group": node[0], "edge_node": node[1], "device": None, "metrics": [_REBIRTH]})
     await until(mqtt, lambda entries: len(_of(living, sparkplug(since(birth, entries), "DBIRTH"))) > 1)
     await _cut(mqtt)
+    # A birth may be handed to the connection that has just been cut; a subscription is answered on the next one.
+    await until_it_works(run, mqtt, "subscribe", filter=f"otmcp/{nonce(run)}", qos=0)
     await until_it_works(run, mqtt, "device_birth", device=living, metrics=_temperature())
     await _reports(run, mqtt, living)
     entries = since(birth, await mqtt.journal())

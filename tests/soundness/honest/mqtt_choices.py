@@ -27,7 +27,7 @@ from pytest_otmcp.reference_adapters.mqtt.connection import Connection, Connecti
 from pytest_otmcp.reference_adapters.mqtt.edge_node import EdgeNode, Life
 from pytest_otmcp.reference_adapters.mqtt.link import Link
 from pytest_otmcp.reference_adapters.mqtt.payload import Metric
-from pytest_otmcp.reference_adapters.mqtt.tools import Tools
+from pytest_otmcp.reference_adapters.mqtt.tools import Tools, _number
 from pytest_otmcp.reference_adapters.mqtt.tools import _payload as payload_of
 from pytest_otmcp.reference_adapters.mqtt.topics import check_name
 
@@ -575,6 +575,7 @@ def delivers_again_with_dup(server: AdapterServer) -> None:
         async def handler(call: Call, arguments: Any) -> Any:
             check_name(arguments.topic)
             payload = payload_of(arguments.payload, arguments.encoding)
+            call.changes((arguments.topic, _number(payload)))
             await publisher.publish(call, arguments.topic, payload, retain=arguments.retain)
             return {
                 "topic": arguments.topic,
