@@ -79,9 +79,11 @@ ITS_OWN_REFUSALS = (
     "invalid_input",
     "limit_exceeded",
     "not_born",
+    "partial_failure",
     "unsupported_operation",
 )
-"""Codes by which an adapter may refuse a write to a target that it does not know, whether its device is there or not."""
+"""Codes by which an adapter may refuse a write to a target that it does not know, whether its device is there or not, or may fail a batch of
+writes, each of which has its own reason."""
 
 
 def drawn(at: Rig, operation: str, draw: Callable[[], T], inputs: Callable[[T], Mapping[str, Any]]) -> T:
