@@ -48,7 +48,7 @@ def test_the_page_says_what_the_records_say() -> None:
             ['"qos": 0', "adapter → device  PUBLISH", "qos=1", "adapter ← device  PUBACK"],
         ),
         ("mcmqtt", "Q2", "wrong_value", ["adapter ← device  PUBLISH", "mqtt_get_messages", '"messages": []']),
-        ("mqtt5-mcp-server", "S11", "made_up_for", ["publish_message", "connect_failed", "adapter → device  PUBLISH"]),
+        ("mqtt5-mcp-server", "S11", "wrote", ["the device is started", "adapter → device  SUBSCRIBE", "SUBACK"]),
         ("kukapay-modbus-mcp", "R-modbus", "not_from_the_device", ["read_input_registers", "Demo Mode", "saw nothing"]),
     ],
 )
