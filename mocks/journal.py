@@ -85,12 +85,14 @@ class Journal:
     Attributes:
         next: sequence number that the next entry will get.
         dropped: number of entries that were dropped before they were released.
+        reads: how often somebody has asked for entries.
     """
 
     def __init__(self, capacity: int = _CAPACITY) -> None:
         self._entries: deque[Entry] = deque(maxlen=capacity)
         self.next = 0
         self.dropped = 0
+        self.reads = 0
         self._peers: dict[int, _Peer] = {}
         self._waiters: list[_Waiter] = []
 
@@ -159,6 +161,7 @@ class Journal:
 
     def since(self, seq: int) -> list[Entry]:
         """Return the kept entries with this sequence number or a later one; the cost is that of these entries alone."""
+        self.reads += 1
         # A deque is slow to index in its middle, but not to walk from its end.
         newest = list(itertools.islice(reversed(self._entries), max(0, self.next - seq)))
         newest.reverse()

@@ -13,7 +13,7 @@ from typing import Any
 
 import paho.mqtt.client as mqtt
 from mcp.server.mcpserver.exceptions import ToolError
-from strict_mcp import READS, WRITES, StrictServer, strict
+from strict_mcp import READS, SENDS, StrictServer, strict
 
 mcp = StrictServer("plant-mqtt", "1.0.0")
 HOST, PORT = os.environ["MQTT_HOST"], int(os.environ["MQTT_PORT"])
@@ -166,7 +166,7 @@ def read_messages(topic: Filter) -> dict[str, Any]:
     return {"messages": receiving.take(topic)}
 
 
-@mcp.tool(annotations=WRITES)
+@mcp.tool(annotations=SENDS)
 def publish(topic: Topic, payload: Payload, qos: Qos = 0, retain: Retain = False) -> dict[str, Any]:
     """Publish a message; the broker has acknowledged it (qos 1 and 2), or it went out on a living connection (qos 0)."""
     if os.environ.get("MQTT_WRITES") != "true":

@@ -25,7 +25,8 @@ CLOSING: set[asyncio.Task[None]] = set()
 LONGEST = 10000
 SESSIONS = asyncio.Semaphore(4)  # servers have few of them
 
-NodeId = strict(str, "node id, such as ns=2;s=Temperature", min_length=3, max_length=4096)
+# asyncua skips what it does not know: "nsu=urn:other;i=2256" would be node 2256 of namespace 0.
+NodeId = strict(str, "node id, such as ns=2;s=Temperature", pattern=r"^(ns=\d+;)?[isgb]=", max_length=4096)
 
 # The format of each integer type, for struct.
 INTEGERS = dict(zip("SByte Byte Int16 UInt16 Int32 UInt32 Int64 UInt64".split(), "bBhHiIqQ", strict=True))

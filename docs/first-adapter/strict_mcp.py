@@ -14,10 +14,11 @@ from mcp.server import MCPServer
 from mcp.types import CallToolResult, TextContent, ToolAnnotations
 from pydantic import Field
 
-__all__ = ["READS", "WRITES", "StrictServer", "strict"]
+__all__ = ["READS", "SENDS", "WRITES", "StrictServer", "strict"]
 
 READS = ToolAnnotations(read_only_hint=True, open_world_hint=False)
 WRITES = ToolAnnotations(read_only_hint=False, destructive_hint=True, idempotent_hint=True, open_world_hint=False)
+SENDS = WRITES.model_copy(update={"idempotent_hint": False})  # a message, which is another one with each call
 
 _INVALID_PARAMS = -32602
 

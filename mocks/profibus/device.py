@@ -55,7 +55,7 @@ class ProfibusDevice(Device):
         self._client = 0
         self._last: dict[int, _Last] = {}
         self._sent: dict[tuple[int, int], bytes] = {}
-        self._cycled: dict[int, Reply] = {}
+        self._cycled: dict[int, tuple[Reply, int]] = {}
         self._driven: set[tuple[int, int, int]] = set()
         """Number of a client, its address as a master, and a station whose outputs it has set."""
         self._watchdogs: dict[int, asyncio.TimerHandle] = {}
@@ -180,12 +180,14 @@ class ProfibusDevice(Device):
             self._last[request.destination] = last
         reply = last.reply
         self._watch(request.destination, slave, request.source)
-        if kind == "cycle" and rule is None and self._cycled.get(request.destination) == reply:
-            # A master repeats the outputs some ten times a second. Only what is new in that is worth an entry.
+        # A master may repeat the outputs a hundred times a second. What is new in that has an entry, and the first telegram after
+        # each reading of the journal: who reads it before and after a call sees whether there was an exchange in it.
+        cycled = reply, self.journal.reads
+        if kind == "cycle" and rule is None and self._cycled.get(request.destination) == cycled:
             self.line.send(_encoded(last.request, reply))
             return
         if service == "data_exchange":
-            self._cycled[request.destination] = reply
+            self._cycled[request.destination] = cycled
             if slave.exchanges_with(request.source):
                 self._driven.add((self._client, request.source, request.destination))
         self._answer(record(), last.request, reply, service, rule)
