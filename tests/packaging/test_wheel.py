@@ -26,9 +26,9 @@ version = "1.0"
 
 [adapter.modbus]
 command = ["{python}", "-m", "pytest_otmcp.reference_adapters", "modbus"]
-env = { MODBUS_HOST = "{host}", MODBUS_PORT = "{port}", MODBUS_TIMEOUT_S = "20", MODBUS_DEADLINE_S = "25" }
+env = { MODBUS_HOST = "{host}", MODBUS_PORT = "{port}", MODBUS_TIMEOUT_S = "4", MODBUS_DEADLINE_S = "5" }
 rw = { env = { MODBUS_WRITES_ENABLED = "true" } }
-deadline_s = 30
+deadline_s = 10
 """
 
 

@@ -90,7 +90,7 @@ def test_a_certificate_is_written_whatever_the_directory_holds(out: Path, told: 
     items, checks = len(tasks_by_id(suites=SUITES)), len(tasks_by_id(suites=[REQUIREMENTS]))
     runs = 870 + checks
     assert f"VERDICT: CONFORMANT ({items} of {items} items applied, {runs}/{runs} runs passed)" in told
-    assert "modbus: earned guard, recovery, ping, " in told
+    assert "modbus: earned guard, recovery, bounds, ping, " in told
     for protocol in ("Modbus", "MQTT", "OPC UA"):
         assert f"level: {protocol}: Silver; Gold cannot be earned yet" in told
     record, predicate = load(out / "run.json"), json.loads((out / "certificate.json").read_text())["predicate"]

@@ -163,5 +163,6 @@ def test_a_schema_of_any_size_is_looked_at_in_time(judge: Judge, token: str) -> 
 def test_not_all_of_many_tools_are_called(judge: Judge, token: str) -> None:
     results = judge("modbus", command=hostile("two-hundred-tools", token), tasks="MCP-008.modbus")
     called = [call["tool"] for sample in results["MCP-008.modbus"]["samples"] for call in sample["calls"]]
-    # A hundred in each era of MCP, among them some that the reference adapter has.
-    assert 150 < sum(tool.startswith("t") for tool in called) <= 200
+    # A hundred, among them some that the reference adapter has. There is no second era of MCP: by then the adapter has said the same
+    # wrong thing again and again.
+    assert 75 < sum(tool.startswith("t") for tool in called) <= 100
