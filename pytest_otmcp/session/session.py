@@ -91,6 +91,7 @@ class McpSession:
         self._closing = asyncio.Event()
         self.tools: dict[str, dict[str, object]] = {}
         self._first_list = ""
+        self._is_silent = False
         self._output_schemas: dict[str, bytes] = {}
         self.state: dict[str, object] = {}
         self.server_name = ""
@@ -274,9 +275,10 @@ class McpSession:
     async def tools_changed(self) -> ToolsChanged | None:
         """Ask for the list of tools once more and compare it with the first; None where it is the same, or there is no answer.
 
-        A young session is asked as well: how long an item takes must not decide what is found.
+        A young session is asked as well: how long an item takes must not decide what is found. One that has left its last call without
+        an answer is not: it would be waited for again.
         """
-        if self.died or self._floods or not self.ready_ns:
+        if self.died or self._floods or self._is_silent or not self.ready_ns:
             return None
         try:
             now = await self.list_anew(timeout_s=_LIST_S)
@@ -355,6 +357,7 @@ class McpSession:
             finally:
                 returned_ns = time.monotonic_ns()
                 self._recorder.end(token)
+        self._is_silent = failure == "timeout"
         schema = self._output_schemas.get(tool)
         if isinstance(answer, CallToolResult) and not answer.is_error and schema and measured.response is not None:
             complaint = await OutputCheck.of_running_loop().objection(tool, schema, measured.response)

@@ -56,13 +56,13 @@ _BY_PREFERENCE = sorted(MUTANTS.values(), key=lambda one: one.protocol in _FURTH
 
 
 def _first_of_their_kind() -> frozenset[str]:
-    """Return the ids of the first defects that the requirement suite notices for each row and each defect of the catalogue."""
-    seen: set[str] = set()
+    """Return the ids of the first defects of each protocol in the benchmark, and of each defect of the catalogue and each row of the
+    requirement suite."""
+    seen: set[object] = set()
     found = []
     for mutant in _BY_PREFERENCE:
-        if not mutant.areas:
-            continue
-        kinds = {mutant.catalogue_id, *(name.partition(".")[0] for name in mutant.items.split())}
+        kinds: set[object] = {(bool(mutant.areas), mutant.catalogue_id)}
+        kinds |= {name.partition(".")[0] for name in mutant.items.split()} if mutant.areas else {mutant.protocol}
         if not kinds <= seen:
             found.append(mutant.id)
         seen |= kinds
@@ -70,7 +70,7 @@ def _first_of_their_kind() -> frozenset[str]:
 
 
 REPRESENTATIVE = _first_of_their_kind()
-"""Defects of the requirement suite that are run with the long tests: for each row and each defect of the catalogue one at least."""
+"""Defects that are run with the long tests: for each row and each defect of the catalogue one at least."""
 
 
 def _one_for_each_area() -> frozenset[str]:

@@ -296,7 +296,17 @@ FORGERIES: list[tuple[str, Change]] = [
 ]
 
 
-@pytest.mark.parametrize("change", [change for _, change in FORGERIES], ids=[name for name, _ in FORGERIES])
+EVERY_FORGERY = "OTMCP_EVERY_FORGERY" in os.environ
+WHY_NOT = "OTMCP_EVERY_FORGERY=1 changes every kind of member of a large record, otherwise a third of them"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(change, id=name, marks=pytest.mark.skipif(number % 3 > 0 and not EVERY_FORGERY, reason=WHY_NOT))
+        for number, (name, change) in enumerate(FORGERIES)
+    ],
+)
 def test_a_record_that_was_changed_sealed_and_certified_again_is_refused(
     pair: tuple[Path, Path], change: Change
 ) -> None:

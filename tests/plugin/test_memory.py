@@ -11,7 +11,7 @@ import pytest
 from .vendor import Repository
 
 HOSTILE = Path(__file__).parents[1] / "soundness" / "hostile.py"
-SUITE = ("--pyargs", "pytest_otmcp.conformance", "--otmcp-reps=3", "-k", "normal and M1")
+SUITE = ("--pyargs", "pytest_otmcp.conformance", "--otmcp-reps=1", "-k", "normal and M1")
 
 LIMIT_MIB = 400
 

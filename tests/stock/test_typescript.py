@@ -183,7 +183,8 @@ def test_the_adapters_have_no_error_of_types(adapters: Path) -> None:
 PROTOCOLS = [pytest.param(name, marks=() if name == "modbus" else EVERY_ADAPTER) for name in FOUND]
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
+@EVERY_ADAPTER
+@pytest.mark.parametrize("protocol", FOUND)
 def test_an_adapter_as_first_written_has_its_findings(
     protocol: str, adapters: Path, loop: LoopThread, plant: Plant
 ) -> None:

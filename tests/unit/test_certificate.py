@@ -425,7 +425,8 @@ def test_a_certificate_that_was_edited_anywhere_is_refused(files: tuple[Path, Pa
     statement = json.loads(files[0].read_text())
     places = kinds(statement)
     assert len(places) > 100
-    for path in places.values():
+    # That each difference is told is tested above: here that it is asked for.
+    for path in list(places.values())[::8]:
         changed = copy.deepcopy(statement)
         holder = parent(changed, path)
         holder[path[-1]] = other(holder[path[-1]])

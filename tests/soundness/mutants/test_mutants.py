@@ -29,7 +29,7 @@ def marks(mutant: Mutant) -> list[pytest.MarkDecorator]:
     """Return what decides when a defect is run."""
     if mutant.quick:
         return []
-    if not mutant.areas or mutant.id in REPRESENTATIVE or WHOLE_MATRIX:
+    if mutant.id in REPRESENTATIVE or WHOLE_MATRIX:
         return [pytest.mark.long]
     return [pytest.mark.long, pytest.mark.skip(VARIANTS)]
 
