@@ -536,7 +536,7 @@ class AdapterUnderTest:
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
         if altered is not None and altered.tool is not None:
             listed = altered.tool in session.tools
-        expected = self._expectation(operation, binding.answering, binding.outputs, listed=listed)
+        expected = self._expectation(operation, binding.answering, binding.outputs_for(inputs), listed=listed)
         if not binding.answering.native:
             self._note_unmet(exchange)
         return observe(exchange, expected)
