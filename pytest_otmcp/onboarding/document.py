@@ -212,9 +212,10 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     comments = [
         f"# {asked.meaning}",
         *(
-            f"# {'proven' if proposal.proven else 'seen' if proposal.tried else 'likely'}: {line}"
+            f"# {'likely' if not proposal.tried else 'proven' if proposal.proven and not lacking else 'seen'}: {line}"
             for line in proposal.evidence
         ),
+        *(f"# not proven: {line}" for line in proposal.caveats),
     ]
     if proposal.proven and not lacking:
         return [*comments, head, *body]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 
@@ -88,7 +88,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         if step is not None:
             await under_test.close()
             under_test = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
-        experimenter = Experimenter(under_test, device, pack.late)
+        experimenter = Experimenter(under_test, device, pack.late, pack.samples)
         try:
             proposals = await _try_operations(experimenter, pack, tools, say)
         finally:
@@ -113,7 +113,15 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         tools=tuple(tools),
         longest_s=experimenter.longest_s,
         errors=pack.errors,
+        left=_nothing_valid(experimenter),
     )
+
+
+def _nothing_valid(experimenter: Experimenter) -> list[str]:
+    fault = experimenter.never_valid
+    if fault is None:
+        return []
+    return [f"no answer of this server to a tool call is valid MCP ({fault}): nothing can be proven until it is mended"]
 
 
 async def _try_operations(
@@ -139,11 +147,11 @@ async def _try_operations(
             if proposal is not None:
                 proposals[operation] = proposal
             if not known.status and (proposal is not None or not known.voluntary):
-                say(_line(operation, proposal))
+                say(_line(operation, proposal, {*known.needed}))
     await look_without_device(experimenter, proposals)
     for operation, known in operations.items():
         if known.status:
-            say(_line(operation, proposals.get(operation)))
+            say(_line(operation, proposals.get(operation), {*known.needed}))
     return proposals
 
 
@@ -176,8 +184,13 @@ def _refuse_unreached(endpoint: Mapping[str, object], tried: Iterable[Proposal],
     )
 
 
-def _line(operation: str, proposal: Proposal | None) -> str:
+def _line(operation: str, proposal: Proposal | None, needed: Set[str]) -> str:
     if proposal is None:
         return f"  {operation:<15} no tool found"
-    mark = "proven" if proposal.proven else "not proven" if proposal.tried else "likely"
-    return f"  {operation:<15} {proposal.guess.tool} ({mark}: {proposal.evidence[0]})"
+    mark, evidence = "not proven" if proposal.tried else "likely", proposal.evidence[0]
+    if proposal.proven and needed <= proposal.outputs.keys():
+        mark = "proven"
+        evidence += "; not everything, see the file" if proposal.caveats else ""
+    elif proposal.proven:
+        mark, evidence = "asked, but not read", "; ".join([evidence, *proposal.placed])
+    return f"  {operation:<15} {proposal.guess.tool} ({mark}: {evidence})"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from ..subject.answers import extract, interpret, read_answer
@@ -16,11 +17,15 @@ __all__ = [
     "CONNECT_FAILED",
     "FORMS",
     "Found",
+    "Sample",
     "claims_success",
     "failure_rules",
     "find",
     "known_errors",
     "lists_in",
+    "no_result",
+    "same_value",
+    "tells_failure",
     "turned_false",
 ]
 
@@ -39,6 +44,35 @@ FORMS = ("structured", "json", "text", "texts")
 
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
+_EXACT = 2**53
+"""Integers beyond it are not the same number to every reader of JSON (RFC 8259, section 6)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """One answer, and the value that the device is known to have given for it.
+
+    Attributes:
+        message: the answer.
+        expected: a value or a list of values.
+        told: the inputs of the operation, as the tool was told them.
+        kind: what sort of value it is, such as a type of the protocol; samples of the first one's kind have to be read.
+    """
+
+    message: Mapping[str, object]
+    expected: object
+    told: Mapping[str, object] = field(default_factory=dict)
+    kind: str = ""
+
+    def read(self, form: str, rule: Mapping[str, object]) -> object:
+        """Return what a rule finds in the answer."""
+        output = OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in rule.items()})  # type: ignore[arg-type]
+        return extract({"x": output.about(self.told)}, read_answer(self.message, form)[0])["x"]
+
+    def fits(self, form: str, rule: Mapping[str, object]) -> bool:
+        """Tell whether a rule finds the value."""
+        return same_value(self.read(form, rule), self.expected)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,52 +82,75 @@ class Found:
     Attributes:
         form: ``structured``, ``json``, ``text`` or ``texts``.
         rule: table as a subject file has it below ``result``.
+        missed: the samples of other kinds whose values are not there.
     """
 
     form: str
     rule: Mapping[str, object]
+    missed: tuple[Sample, ...] = ()
+
+    @property
+    def takes_everything(self) -> bool:
+        """The rule leaves nothing out, so that what it finds is what the adapter says, whatever that is."""
+        regex = self.rule.get("regex")
+        return self.rule.get("as") in (None, "literal", "json") and (regex is None or str(regex).endswith("(.*)$"))
 
 
-def find(
-    message: Mapping[str, object],
-    expected: object,
-    forms: Sequence[str] = FORMS,
-    *,
-    also: tuple[Mapping[str, object], object] | None = None,
-) -> Found | None:
-    """Find the place of ``expected`` (a value or a list of values); the rule has been tried on the answer.
+def find(samples: Sequence[Sample], forms: Sequence[str] = FORMS) -> Found | None:
+    """Find the place where most values are, and at least all of the first sample's kind; each rule has been tried on every answer.
 
-    Args:
-        also: another answer, and what has to be found at the same place there.
+    A member that is called like what was asked for is found by that name, never by the one that happened to be asked for.
     """
-    wanted = [(message, expected), *(() if also is None else (also,))]
+    first = samples[0]
+    usual = [sample for sample in samples[1:] if sample.kind == first.kind]
+    others = [sample for sample in samples if sample.kind != first.kind]
     for form in forms:
-        documents = [read_answer(answer, form)[0] for answer, _ in wanted]
-        if None in documents:
+        document = read_answer(first.message, form)[0]
+        if document is None:
             continue
-        for rule in _rules(documents[0], expected):
-            output = {"x": OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in rule.items()})}
-            found = [extract(output, document)["x"] for document in documents]
-            if all(map(_same, found, (value for _, value in wanted))):
-                return Found(form=form, rule=rule)
+        best: Found | None = None
+        for rule in _rules(document, first.expected, first.told):
+            if all(sample.fits(form, rule) for sample in (first, *usual)):
+                missed = tuple(sample for sample in others if not sample.fits(form, rule))
+                if best is None or len(missed) < len(best.missed):
+                    best = Found(form=form, rule=rule, missed=missed)
+        if best is not None:
+            return best
     return None
 
 
-def _same(found: object, expected: object) -> bool:
+def same_value(found: object, expected: object) -> bool:
+    """Tell whether what was found says a value: also as OPC 10000-6 has it in JSON, an integer of 64 bits as a text, a time in any form
+    of ISO 8601."""
     if isinstance(expected, list):
-        return isinstance(found, list) and len(found) == len(expected) and all(map(_same, found, expected))
+        return isinstance(found, list) and len(found) == len(expected) and all(map(same_value, found, expected))
     if isinstance(expected, bool) or isinstance(found, bool):
         return found is expected
     if isinstance(expected, float) and isinstance(found, int | float):
         return abs(found - expected) < 1e-9
+    if isinstance(expected, int) and abs(expected) > _EXACT and found == str(expected):
+        return True
+    if isinstance(expected, str) and isinstance(found, str) and found != expected:
+        one, other = _instant(found), _instant(expected)
+        return one is not None and other is not None and abs(one - other) < timedelta(milliseconds=1)
     return bool(found == expected)
 
 
-def _rules(document: object, expected: object) -> Iterator[dict[str, Any]]:
+def _instant(text: str) -> datetime | None:
+    if _DATE.match(text) is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
+
+
+def _rules(document: object, expected: object, told: Mapping[str, object]) -> Iterator[dict[str, Any]]:
     if isinstance(document, str):
         yield from _in_text(document, expected)
         return
-    for path, value in _places(document, ""):
+    for path, value in _places(document, "", told):
         yield {"path": path}
         if isinstance(expected, list):
             yield {"path": path, "wrap": True}
@@ -110,26 +167,42 @@ def _rules(document: object, expected: object) -> Iterator[dict[str, Any]]:
                 yield {"path": path, **rule}
 
 
-def _places(value: object, path: str) -> Iterator[tuple[str, object]]:
-    """Yield the JMESPath of every value, also through all elements of a list of objects."""
+def _places(value: object, path: str, told: Mapping[str, object] | None = None) -> Iterator[tuple[str, object]]:
+    """Yield the JMESPath of every value, also through all elements of a list of objects.
+
+    Args:
+        told: inputs as the tool was told them: a member that is called like one of them is named as such.
+    """
     if path:
         yield path, value
+    asked = _asked(told or {})
     if isinstance(value, Mapping):
+        for name, listed in (told or {}).items():
+            if isinstance(listed, list) and listed and all(str(each) in value for each in listed):
+                step = f'{path}."${name}"' if path else f'"${name}"'
+                yield step, [value[str(each)] for each in listed]
+                yield from ((f"{step}[].{place}", None) for place, _ in _places(value[str(listed[0])], ""))
         for name, member in value.items():
-            step = name if _PLAIN.fullmatch(name) else json.dumps(name)
-            yield from _places(member, f"{path}.{step}" if path else step)
+            step = f'"${asked[name]}"' if name in asked else name if _PLAIN.fullmatch(name) else json.dumps(name)
+            yield from _places(member, f"{path}.{step}" if path else step, told)
     elif isinstance(value, list) and value:
         inner = value[0]
         if isinstance(inner, Mapping):
-            for place, _ in _places(inner, ""):
+            for place, _ in _places(inner, "", told):
                 yield f"{path}[].{place}", None
-            for place, member in _places(inner, ""):
+            for place, member in _places(inner, "", told):
                 yield f"{path}[0].{place}", member
         elif path == "":
             yield "[0]", inner
 
 
+def _asked(told: Mapping[str, object]) -> dict[str, str]:
+    """Return the names that members may have because of what was asked for, each with its input."""
+    return {str(value): name for name, value in told.items() if isinstance(value, int | str) and value != ""}
+
+
 def _in_text(text: str, expected: object) -> Iterator[dict[str, object]]:
+    """Yield rules for a value in a text: first those that take everything, whatever its type, and at last those for its own type."""
     if isinstance(expected, list):
         kind = _kind(expected[0]) if expected else "string"
         yield {"split": ",", "as": kind}
@@ -138,18 +211,40 @@ def _in_text(text: str, expected: object) -> Iterator[dict[str, object]]:
         yield {"as": "bytes"}
         return
     kind = _kind(expected)
-    yield {"as": kind}
+    yield {"as": "literal"}
+    if kind == "string":
+        yield {"as": "string"}
     shown = json.dumps(expected) if not isinstance(expected, str) else expected
     for written in dict.fromkeys((shown, str(expected))):
         position = text.find(written)
         if position < 0:
             continue
-        anchor = re.search(r"[A-Za-z_]+\W*$", text[max(0, position - 200) : position])
-        before = "" if anchor is None else re.escape(anchor[0]).replace(r"\ ", r"\s*")
-        pattern = {"int": r"(-?\d+)", "float": r"(-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)", "bool": r"(\w+)"}.get(
-            kind, r"([^\s,;]+)"
-        )
-        yield {"regex": before + pattern, "as": kind}
+        for before in _before(text[max(0, position - 200) : position]):
+            yield {"regex": f"(?s){before}(.*)$", "as": "literal"}
+            yield {"regex": f"{before}(.*)", "as": "literal"}
+            after = re.match(r"\s*[^\w\s]", text[position + len(written) :])
+            if after is not None:
+                yield {"regex": f"{before}(.*?){_escaped(after[0])}", "as": "literal"}
+            yield {"regex": rf"{before}([^\s,;]+)", "as": "literal"}
+            if kind != "string":
+                yield {"regex": before + _NARROW[kind], "as": kind}
+
+
+_NARROW = {"int": r"(-?\d+)", "float": r"(-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)", "bool": r"(\w+)"}
+"""Patterns of one type alone: what they find of another one is not what the adapter said."""
+
+
+def _before(text: str) -> Iterator[str]:
+    """Yield patterns of what stands before a value: the last word and what follows it, or only the last sign."""
+    word = re.search(r"[A-Za-z_]+\W*$", text)
+    yield "" if word is None else _escaped(word[0])
+    sign = re.search(r"[^\w\s]\s*$", text)
+    if sign is not None:
+        yield f"^.*{_escaped(sign[0])}"
+
+
+def _escaped(text: str) -> str:
+    return re.escape(text).replace(r"\ ", r"\s*")
 
 
 def _kind(value: object) -> str:
@@ -158,19 +253,24 @@ def _kind(value: object) -> str:
     return {int: "int", float: "float"}.get(type(value), "string")
 
 
-def lists_in(message: Mapping[str, object], prefix: str) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
-    """Yield every list of texts in an answer with its form and its rule: as it is, without ``prefix``, without the first."""
+def lists_in(
+    message: Mapping[str, object], prefix: str, told: Mapping[str, object] | None = None
+) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
+    """Yield every list of texts in an answer with its form and its rule: as it is, without ``prefix``, without the first.
+
+    Args:
+        told: the inputs as the tool was told them.
+    """
     for form in ("structured", "json", "texts"):
         document = read_answer(message, form)[0]
         if document is None:
             continue
-        for path, _ in _places(document, ""):
+        for path, _ in _places(document, "", told):
             whole = {"path": path}, {"path": path, "strip": prefix}
             # A list of nodes may begin with the node that was asked for.
             rest = [{**rule, "path": path.replace("[]", "[1:]", 1)} for rule in whole if "[]" in path]
             for rule in (*whole, *rest):
-                output = OutputRule(path=rule["path"], strip=rule.get("strip"))
-                value = extract({"x": output}, document)["x"]
+                value = Sample(message=message, expected=None, told=told or {}).read(form, rule)
                 if isinstance(value, list) and value and all(isinstance(entry, str) for entry in value):
                     yield form, rule, value
 
@@ -218,6 +318,34 @@ def failure_rules(
 def claims_success(message: Mapping[str, object]) -> bool:
     """Tell whether an answer says of itself, without any rules, that it is a success."""
     return all(interpret(message, Answering(form=form)).success for form in FORMS)
+
+
+def tells_failure(message: Mapping[str, object]) -> bool:
+    """Tell whether an answer says that the call failed, if only in the first word of its text."""
+    return not claims_success(message) or _FAILING_WORDS.match(read_answer(message, "text")[1]) is not None
+
+
+_BLOCKS = ("text", "image", "audio", "resource", "resource_link")
+"""Types of content blocks (MCP 2025-11-25, server/tools, "Tool Result")."""
+
+
+def no_result(message: Mapping[str, object]) -> str | None:
+    """Say why an answer is no valid result of a tool call; None for one that is."""
+    result = message.get("result")
+    if not isinstance(result, Mapping):
+        error = message.get("error")
+        told = error if isinstance(error, Mapping) else {"message": error}
+        return f"error {told.get('code')} instead of a result: {' '.join(str(told.get('message')).split())!r}"
+    content = result.get("content")
+    if not isinstance(content, list):
+        return "a result whose content is no list"
+    for block in content:
+        kind = block.get("type") if isinstance(block, Mapping) else None
+        if kind not in _BLOCKS:
+            return f"a content block of the type {kind!r}, which MCP does not know"
+        if kind == "text" and not isinstance(block.get("text"), str):
+            return "a text block without a text"
+    return None
 
 
 def turned_false(before: Mapping[str, object], after: Mapping[str, object]) -> Found | None:

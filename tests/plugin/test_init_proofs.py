@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import pytest
 
 from pytest_otmcp.soundness.warm_start import WarmStart
 from pytest_otmcp.subject import Adapter, load_subject
+from pytest_otmcp.subject.answers import extract, read_answer
 
 # It asks the device for its state, and may say the same whatever came of it.
 STATUS = """
@@ -94,6 +96,83 @@ def mqtt_publish(topic: str, payload: str, qos: int = 0, endpoint: str = "main",
 server.run()
 """
 
+# Its answers have the shapes of public servers, by the variable SHAPE; it asks the server for each node that it is told.
+NODES = """
+import json
+import os
+from typing import Any
+from asyncua import Client
+from mcp.server import MCPServer
+
+server = MCPServer("nodes")
+
+
+async def held(node: str) -> Any:
+    async with Client(os.environ["PLANT"]) as client:
+        return await client.get_node(node).get_value()
+
+
+@server.tool(structured_output=False)
+async def read_opcua_node(node_id: str) -> str:
+    value = await held(node_id)
+    match os.environ["SHAPE"]:
+        case "member":
+            return json.dumps({"values": {node_id: value}}, default=str)
+        case "prose":
+            return f"Node {node_id} value: {value}"
+        case "unit":
+            return f"Node {node_id} value: {value} bar"
+        case "rounded":
+            return json.dumps({"value": float(value) if isinstance(value, int) else value}, default=str)
+        case "doubles":
+            if not isinstance(value, float):
+                raise TypeError(f"{type(value).__name__} cannot be read")
+            return f"{value}"
+        case "first":
+            return f"Node {node_id} value: {await held('ns=2;s=Temperature')}"
+    raise ValueError(os.environ["SHAPE"])
+
+
+server.run()
+"""
+
+# Written by hand for an earlier draft of MCP: each of its answers has a content block of the type "json", or is an error.
+DRAFT = """
+import json
+import os
+import sys
+from pymodbus.client import ModbusTcpClient
+
+client = ModbusTcpClient(os.environ["PLC_HOST"], port=int(os.environ["PLC_PORT"]), retries=0)
+names = ("read_holding_registers", "read_input_registers")
+schema = {"type": "object", "properties": {"address": {"type": "integer"}, "count": {"type": "integer"}}}
+schema["required"] = list(schema["properties"])
+writes = {"type": "object", "properties": {"address": {"type": "integer"}, "value": {"type": "integer"}}}
+for line in sys.stdin:
+    message, content = json.loads(line), None
+    match message["method"]:
+        case "initialize":
+            info = {"name": "draft", "version": "0.1"}
+            content = {"protocolVersion": "2025-11-25", "capabilities": {"tools": {}}, "serverInfo": info}
+        case "tools/list":
+            tools = [{"name": name, "inputSchema": schema} for name in names]
+            content = {"tools": [*tools, {"name": "write_register", "inputSchema": writes}]}
+        case "tools/call":
+            asked = message["params"]["arguments"]
+            client.connect()
+            if "value" in asked:
+                found = client.write_register(asked["address"], asked["value"], device_id=1)
+            else:
+                read = getattr(client, message["params"]["name"])
+                found = read(asked["address"], count=asked["count"], device_id=1)
+            content = {"content": [{"type": "json", "json": {"values": getattr(found, "registers", [])}}]}
+    if "id" in message:
+        answer = {"result": content}
+        if content is None or (message["method"] == "tools/call" and "ERRORS" in os.environ):
+            answer = {"error": {"code": -32602, "message": "Invalid tools/call result: [ {type} ]"}}
+        print(json.dumps({"jsonrpc": "2.0", "id": message["id"], **answer}), flush=True)
+"""
+
 Init = Callable[..., tuple[str, Adapter]]
 
 
@@ -155,3 +234,111 @@ def test_a_tool_that_gives_the_last_message_only_is_no_inbox(init: Init) -> None
     (publish,) = adapter.operations["publish"]
     sent = {"topic": "a", "payload": "b", "qos": 0}
     assert publish.fill(sent, {}) == {**sent, "dry_run": False}
+
+
+@pytest.fixture
+def read_of(init: Init) -> Callable[[str], tuple[str, Adapter]]:
+    return lambda shape: init("opcua", NODES, PLANT="{url}", SHAPE=shape)
+
+
+def text(message: str) -> dict[str, object]:
+    return {"result": {"content": [{"type": "text", "text": message}]}}
+
+
+def read(adapter: Adapter, node: str, message: str) -> object:
+    """Return what the proposed binding reads in the answer about a node."""
+    (binding,) = adapter.operations["read"]
+    form = binding.answering.form
+    return extract(binding.outputs_for({"node": node}), read_answer(text(message), form)[0])["value"]
+
+
+def test_a_node_that_was_tried_is_no_part_of_a_path(read_of: Callable[[str], tuple[str, Adapter]]) -> None:
+    told, adapter = read_of("member")
+    assert "read            read_opcua_node (proven: the device saw a Read of the node)" in told
+    assert adapter.operations["read"][0].outputs["value"].path == 'values."$node"'
+    assert read(adapter, "ns=2;s=Pressure", '{"values": {"ns=2;s=Pressure": 1.5}}') == 1.5
+
+
+def test_a_sentence_is_read_whatever_the_type_of_its_value_is(read_of: Callable[[str], tuple[str, Adapter]]) -> None:
+    told, adapter = read_of("prose")
+    assert "read            read_opcua_node (proven: the device saw a Read of the node)" in told
+    for said, value in (
+        ("True", True),
+        ("25.0", 25.0),
+        ("9007199254740993", 9007199254740993),
+        ("2026-11-22 12:00:00", "2026-11-22 12:00:00"),
+        ("[1, -2, 3]", [1, -2, 3]),
+        ("tank 7, empty", "tank 7, empty"),
+    ):
+        assert read(adapter, "ns=2;s=Other", f"Node ns=2;s=Other value: {said}") == value
+
+
+def test_a_pattern_that_reads_some_types_only_is_no_binding(read_of: Callable[[str], tuple[str, Adapter]]) -> None:
+    told, adapter = read_of("unit")
+    assert "read            read_opcua_node (asked, but not read: the device saw a Read of the node; what reads" in told
+    assert "of two words bar'" in told
+    assert "read: where value is in the answer of 'read_opcua_node'" in told
+    assert "read" not in adapter.operations
+
+
+def test_a_place_that_takes_everything_is_right_where_the_adapter_is_wrong(
+    read_of: Callable[[str], tuple[str, Adapter]], tmp_path: Path
+) -> None:
+    told, adapter = read_of("rounded")
+    assert (
+        "read            read_opcua_node (proven: the device saw a Read of the node; not everything, see the file)"
+        in told
+    )
+    assert adapter.operations["read"][0].outputs["value"].path == "value"
+    written = (tmp_path / "otmcp.toml").read_text(encoding="utf-8")
+    assert re.search(
+        r"# not proven: with node ns=2;s=Otmcp.UInt64.\w+ the device holds (\d+), and the answer says (?!\1\b)", written
+    )
+
+
+def test_a_type_that_a_tool_refuses_says_nothing_about_the_others(
+    read_of: Callable[[str], tuple[str, Adapter]], tmp_path: Path
+) -> None:
+    told, adapter = read_of("doubles")
+    assert (
+        "read            read_opcua_node (proven: the device saw a Read of the node; not everything, see the file)"
+        in told
+    )
+    assert read(adapter, "ns=2;s=Pressure", "1.5") == 1.5
+    written = (tmp_path / "otmcp.toml").read_text(encoding="utf-8")
+    assert re.search(
+        r"# not proven: with node ns=2;s=Otmcp.Boolean.*; node ns=2;s=Otmcp.String.*: it failed: 'Error executing",
+        written,
+    )
+
+
+def test_a_tool_that_answers_for_one_node_alone_is_no_binding(read_of: Callable[[str], tuple[str, Adapter]]) -> None:
+    told, adapter = read_of("first")
+    assert (
+        "read            read_opcua_node (asked, but not read: the device saw a Read of the node; no one place" in told
+    )
+    assert "read" not in adapter.operations
+
+
+@pytest.mark.parametrize("fault", ["block", "error"])
+def test_answers_that_are_no_valid_mcp_prove_nothing_and_are_said_to_be_none(
+    init: Init, tmp_path: Path, fault: str
+) -> None:
+    told, adapter = init(
+        "modbus", DRAFT, PLC_HOST="{host}", PLC_PORT="{port}", **({"ERRORS": "1"} if fault == "error" else {})
+    )
+    said = {
+        "block": "a content block of the type 'json', which MCP does not know",
+        "error": "error -32602 instead of a result: 'Invalid tools/call result: [ {type} ]'",
+    }[fault]
+    assert (
+        f"  - no answer of this server to a tool call is valid MCP ({said}): nothing can be proven until it is mended"
+        in told
+    )
+    assert (
+        f"read_holding_registers (not proven: the device saw function 3 for address 10, quantity 3, but the answer is no valid MCP: {said})"
+        in told
+    )
+    assert "(proven" not in told
+    assert "# proven" not in (tmp_path / "otmcp.toml").read_text(encoding="utf-8")
+    assert not adapter.operations

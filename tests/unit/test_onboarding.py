@@ -14,6 +14,7 @@ from pytest_otmcp.onboarding.document import Draft, write_document
 from pytest_otmcp.onboarding.evidence import (
     CONNECT_FAILED,
     CONNECTION_LOST,
+    Sample,
     failure_rules,
     find,
     known_errors,
@@ -213,14 +214,15 @@ def blocks(*texts: str) -> dict[str, Any]:
     ],
 )
 def test_a_known_value_is_found_and_its_rule_finds_it_again(message: Mapping[str, Any], expected: Any) -> None:
-    found = find(message, expected)
+    found = find([Sample(message=message, expected=expected)])
     assert found is not None
     rule = OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in found.rule.items()})
     assert extract({"x": rule}, read_answer(message, found.form)[0]) == {"x": expected}
 
 
 def test_a_value_that_is_not_there_is_not_found() -> None:
-    assert find(answer("Registers: [0, 0, 0]", {"values": [0, 0, 0]}), [250, 150, 60]) is None
+    message = answer("Registers: [0, 0, 0]", {"values": [0, 0, 0]})
+    assert find([Sample(message=message, expected=[250, 150, 60])]) is None
 
 
 def test_a_list_of_nodes_may_begin_with_the_node_that_was_asked_for() -> None:

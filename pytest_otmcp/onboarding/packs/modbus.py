@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import random
 import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from ...protocols.exercise import Asked
 from ...protocols.journal import Entries
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
 from ..experimenter import Experimenter
@@ -52,6 +54,27 @@ async def _read(
     if proven:
         await experimenter.provoke(proposal, "illegal_address", address=9999, count=1)
     return proposal
+
+
+def _samples(rng: random.Random) -> tuple[Asked, ...]:
+    """Return reads at two addresses of each table: values at both bounds of a register, and one alone."""
+    words, bits = [0, 0xFFFF, rng.choice(_VALUES), 0x8000, 1], [rng.random() < 0.5 for _ in range(_BITS)]
+    tables: dict[str, tuple[str, list[Any]]] = {
+        "read_input": ("input_registers", words),
+        "read_holding": ("holding_registers", words),
+        "read_coils": ("coils", bits),
+        "read_discrete_inputs": ("discrete_inputs", bits),
+    }
+    return tuple(
+        Asked(
+            operation=operation,
+            inputs={"address": address, "count": len(values)},
+            outputs={"values": values},
+            pokes=({"unit": 1, "table": table, "address": address, "values": values},),
+        )
+        for operation, (table, several) in tables.items()
+        for address, values in ((50, several), (77, several[2:3]))
+    )
 
 
 async def _read_coils(experimenter: Experimenter, guess: Guess) -> Proposal:
@@ -201,6 +224,7 @@ PACK = Pack(
     # The mock device's unit identifier.
     constants={r"^(unit|unit_id|unitid|slave|slave_id|slaveid)$": 1},
     names=("modbus", "modbus-tcp", "modbus_tcp", "tcp"),
+    samples=_samples,
     errors={
         "illegal_address": (
             r"(?i)0x0?2\b|exception[ _]code\W{0,4}2\b|illegal.?data.?address",
