@@ -18,6 +18,7 @@ __all__ = [
     "FORMS",
     "Found",
     "Sample",
+    "beyond",
     "claims_success",
     "failure_rules",
     "find",
@@ -29,12 +30,15 @@ __all__ = [
     "turned_false",
 ]
 
-CONNECT_FAILED = (
-    r"(?i)connection (refused|failed)|connect call failed|unreachable|offline|not connected"
-    r"|(failed to|unable to|could not|cannot) (connect|reach)",
-)
-CONNECTION_LOST = (r"(?i)connection (was )?(lost|closed|reset|aborted)|broken pipe",)
-"""Patterns of the texts in which adapters of any protocol say that their device cannot be reached, and that the connection with it broke."""
+_LOST = r"connection (was )?(lost|closed|reset|aborted)|broken pipe"
+_NOT_MADE = r"connection refused(?!: [a-z])|connect call failed|unreachable|(failed to|unable to|could not|cannot) (connect|reach)"
+"""What a connection that broke, and one that could not be made, is called. "Refused: not authorised" is a broker's answer on a connection
+that was made; "offline" and "not connected" are said of both."""
+
+CONNECT_FAILED = (rf"(?is)^(?!.*({_LOST})).*({_NOT_MADE})",)
+CONNECTION_LOST = (rf"(?is)^(?!.*({_NOT_MADE})).*({_LOST})",)
+"""Patterns of the texts in which adapters of any protocol say that their device cannot be reached, and that the connection with it broke.
+A text that says both has neither code."""
 
 _BESIDE = {"connect_failed": ("connection_lost",)}
 """Codes of failures that may come in the place of another one: an adapter whose device has gone may say that it has just lost it."""
@@ -359,6 +363,13 @@ def turned_false(before: Mapping[str, object], after: Mapping[str, object]) -> F
             if extract({"is": OutputRule(path=path)}, document) == {"is": False}:
                 return Found(form=form, rule={"path": path})
     return None
+
+
+def beyond(*phrases: str) -> str:
+    """Return a pattern of texts that say by one of these phrases that a value is beyond its bounds, and not that an address is."""
+    said = "|".join((r"out of range", r"must be between", *phrases))
+    place = r"address|register|offset|start|index|count|quantity|size|db|block|tag|element"
+    return rf"(?is)^(?!.*\b({place})s?\b[^\n]{{0,40}}(out of range|must be between)).*({said})"
 
 
 def known_errors(patterns: Mapping[str, Sequence[str]], code: str, text: str) -> list[dict[str, str]]:

@@ -410,7 +410,10 @@ def test_a_tool_that_may_write_is_never_guessed_for_reading() -> None:
         ("failed to connect to 127.0.0.1", ["connect_failed"]),
         ("read error: Connection reset by peer", ["connection_lost"]),
         ("the connection was lost", ["connection_lost"]),
-        ("connection lost; not connected", ["connect_failed", "connection_lost"]),
+        ("connection lost; not connected", ["connection_lost"]),
+        ("connection lost; could not connect again", []),
+        ("Connection Refused: not authorised.", []),
+        ("the device is offline", []),
         ("no such register", []),
     ],
 )

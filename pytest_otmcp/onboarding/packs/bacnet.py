@@ -99,7 +99,6 @@ PACK = Pack(
     names=("bacnet", "bacnet-ip", "bacnet_ip", "bacnetip"),
     errors={
         "illegal_address": (r"(?i)unknown[-_ ]?(object|property)",),
-        "illegal_value": (r"(?i)value[-_ ]?out[-_ ]?of[-_ ]?range",),
-        "not_writable": (r"(?i)write[-_ ]?access[-_ ]?denied",),
+        "not_writable": (r"(?i)write[-_]access[-_]denied",),
     },
 )

@@ -119,6 +119,6 @@ PACK = Pack(
     },
     names=("dnp3",),
     errors={
-        "illegal_address": (r"(?i)parameter[ _]error|object[ _]unknown|not[ _]supported|IIN2\.[12]",),
+        "illegal_address": (r"(?i)parameter[ _]error|object[ _]unknown|IIN2\.[12]\b",),
     },
 )

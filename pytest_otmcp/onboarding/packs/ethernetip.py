@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from ...protocols.ethernetip import oracle
+from ..evidence import beyond
 from ..experimenter import Experimenter
 from ..guess import Guess
 from ..pack import Hints, Pack, plain
@@ -119,6 +120,6 @@ PACK = Pack(
         "illegal_address": (
             r"(?i)path (segment error|destination unknown)|destination unknown|tag [^\n]{0,80}(not found|does(n't| not) exist)",
         ),
-        "range_overflow": (r"(?i)out of range|does not fit|overflow|must be between|format requires",),
+        "range_overflow": (beyond("does not fit", "overflow", "format requires"),),
     },
 )

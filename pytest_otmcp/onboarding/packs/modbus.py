@@ -10,6 +10,7 @@ from typing import Any
 from ...protocols.exercise import Asked
 from ...protocols.journal import Entries
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
+from ..evidence import beyond
 from ..experimenter import Experimenter
 from ..guess import Guess
 from ..known_causes import KnownCause
@@ -230,7 +231,7 @@ PACK = Pack(
             r"(?i)0x0?2\b|exception[ _]code\W{0,4}2\b|illegal.?data.?address",
         ),
         "range_overflow": (
-            r"(?i)out of range|number <= 65535|less than or equal to 65535|overflow|must be between",
+            beyond("number <= 65535", "less than or equal to 65535", "overflow"),
         ),
     },
     causes=(

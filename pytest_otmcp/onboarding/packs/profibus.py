@@ -78,6 +78,6 @@ PACK = Pack(
     lists=frozenset({"data"}),
     names=("profibus", "profibus-dp", "profibus_dp"),
     errors={
-        "limit_exceeded": (r"(?i)bytes of outputs?|output length|too (long|many)|at most|wrong (length|number)",),
+        "limit_exceeded": (r"(?i)bytes of outputs?|output length|(outputs|data|bytes)\b.{0,20}too (long|many)",),
     },
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from ...protocols.s7 import oracle
+from ..evidence import beyond
 from ..experimenter import Experimenter
 from ..guess import Guess
 from ..pack import Hints, Pack, plain
@@ -106,7 +107,6 @@ PACK = Pack(
         "illegal_address": (
             r"(?i)object does not exist|item not available|invalid address|address out of range|0x0a\b|0x05\b",
         ),
-        "range_overflow": (r"(?i)out of range|does not fit|overflow|must be between|format requires",),
-        "access_denied": (r"(?i)not allowed|access denied|0x8104|function refused",),
+        "range_overflow": (beyond("does not fit", "value overflow", "format requires"),),
     },
 )
