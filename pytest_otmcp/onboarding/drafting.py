@@ -15,7 +15,7 @@ from ..protocols.registry import protocols
 from ..subject.grammar import LONGEST_RECOVERY_S
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
-from .document import Draft
+from .document import Draft, switches_in
 from .experimenter import Experimenter
 from .matching import guess_connect, guess_tools
 from .pack import Pack
@@ -111,6 +111,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         proposals=proposals,
         connect=None if step is None else (step.tool, step.arguments),
         tools=tuple(tools),
+        switches=switches_in(str(tool.get("description") or "") for tool in tools.values()),
         longest_s=experimenter.longest_s,
         errors=pack.errors,
         left=_nothing_valid(experimenter),

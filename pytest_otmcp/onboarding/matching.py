@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from typing import Any
 
 from ..protocols.registry import protocols
@@ -31,8 +31,22 @@ _CONNECTIONS = ("tcp:{host}:{port}", "{host}:{port}", "tcp://{host}:{port}", "{u
 """Forms in which a required argument whose name matches ``_CONNECTION`` may expect the device's address."""
 
 
-_WRITES = frozenset("write writes set put publish send force toggle delete execute invoke actuate".split())
-"""Words in the names of tools that write."""
+_CHANGES = frozenset(
+    """write writes set put publish send force toggle delete remove erase clear purge flush execute invoke actuate operate
+    unsubscribe disconnect reconnect acknowledge ack patch insert upload deploy install reboot shutdown kill""".split()
+)
+"""Words in the names of tools that change something, wherever they stand."""
+
+_MAY_CHANGE = frozenset(
+    """add create update modify change rename register unregister start stop restart reset enable disable open close pause
+    resume cancel abort lock unlock activate deactivate configure import save load move turn press call trigger command run""".split()
+)
+"""Words that change something unless the name begins with a word of ``_READS``: ``get_start_time`` starts nothing."""
+
+_READS = frozenset(
+    "read get list browse is has show describe fetch query check find search enumerate count receive".split()
+)
+_JOINS = frozenset("and then or".split())
 
 _FOREIGN = re.compile(
     r"(?<![a-z0-9])(ethercat|sdo|pdo|profinet|canopen|knx|iec104"
@@ -63,9 +77,13 @@ def guess_connect(tools: Mapping[str, Mapping[str, object]]) -> Guess | None:
     return None
 
 
-def _words(name: str) -> set[str]:
+def _in_order(name: str) -> list[str]:
     parts = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()
-    return set(re.split(r"[^a-z0-9]+", parts))
+    return re.split(r"[^a-z0-9]+", parts)
+
+
+def _words(name: str) -> set[str]:
+    return set(_in_order(name))
 
 
 def _is_foreign(protocol: str, name: str, tool: Mapping[str, Any]) -> bool:
@@ -83,9 +101,21 @@ def _is_foreign(protocol: str, name: str, tool: Mapping[str, Any]) -> bool:
     return False
 
 
-def _may_write(words: set[str], tool: Mapping[str, Any]) -> bool:
-    """Tell whether a tool may write, by its name and by what it says of itself: it is not tried for reading."""
-    return not words.isdisjoint(_WRITES) or (tool.get("annotations") or {}).get("destructiveHint") is True
+def _may_change(name: str, tool: Mapping[str, Any], own: Set[str]) -> bool:
+    """Tell whether a tool may change something, by its name and by what it says of itself: it is not tried for reading.
+
+    Args:
+        own: words that say what the operation itself does, such as to subscribe.
+    """
+    words = _in_order(name)
+    doubtful = _CHANGES if _only_reads(words) else _CHANGES | _MAY_CHANGE
+    return bool(({*words} & doubtful) - own) or (tool.get("annotations") or {}).get("destructiveHint") is True
+
+
+def _only_reads(words: Sequence[str]) -> bool:
+    """Tell whether the first word that can be a verb says that the tool reads, and no other is joined to it."""
+    first = next((word for word in words if word in _READS | _CHANGES | _MAY_CHANGE), None)
+    return first in _READS and _JOINS.isdisjoint(words)
 
 
 def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Guess | None:
@@ -95,7 +125,7 @@ def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Gu
         return None
     if hints.named is not None and hints.named.fullmatch(name) is None:
         return None
-    if _is_foreign(pack.protocol, name, tool) or (not asked.writes and _may_write(words, tool)):
+    if _is_foreign(pack.protocol, name, tool) or (not asked.writes and _may_change(name, tool, likely)):
         return None
     schema = resolved(tool, hints.choice)
     names = {**_ARGUMENTS, **pack.arguments}

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.core.errors import UsageError
-from pytest_otmcp.onboarding.document import Draft, write_document
+from pytest_otmcp.onboarding.document import Draft, switches_in, write_document
 from pytest_otmcp.onboarding.evidence import (
     CONNECT_FAILED,
     CONNECTION_LOST,
@@ -25,7 +25,7 @@ from pytest_otmcp.onboarding.guess import Guess
 from pytest_otmcp.onboarding.known_causes import find_advice
 from pytest_otmcp.onboarding.matching import guess_connect, guess_tools
 from pytest_otmcp.onboarding.pack import load_pack
-from pytest_otmcp.onboarding.proposal import by_name
+from pytest_otmcp.onboarding.proposal import Proposal, by_name
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject.answers import extract, read_answer
 from pytest_otmcp.subject.model import OutputRule
@@ -347,25 +347,79 @@ def test_a_voluntary_operation_is_proposed_for_a_tool_that_plainly_matches(
     assert bool(guesses("modbus", operation, {name: tool(arguments)})) is expected
 
 
+def drafted(**known: Any) -> Draft:
+    """Return a draft of which nothing is known but this."""
+    nothing: dict[str, Any] = {
+        "protocol": "modbus",
+        "name": "x",
+        "server_version": "1",
+        "command": ["x"],
+        "env": {},
+        "files": {},
+        "era": None,
+        "transport_url": None,
+        "native": True,
+        "proposals": {},
+        "connect": None,
+        "tools": [],
+        "longest_s": 0.1,
+        "errors": {},
+    }
+    return Draft(**{**nothing, **known})
+
+
+@pytest.mark.parametrize(
+    ("protocol", "missing"),
+    [
+        ("modbus", {"ping", "read_input", "read_holding", "write_holding"}),
+        ("mqtt", {"info", "subscribe", "messages", "publish", "device_birth", "device_data"}),
+    ],
+)
+def test_what_was_not_found_is_declared_as_unclaimed_with_a_reason_that_says_who_looked(
+    protocol: str, missing: set[str]
+) -> None:
+    draft = drafted(protocol=protocol, tools=["other"])
+    text = write_document(draft)
+    unclaimed = tomllib.loads(text)["adapter"][protocol]["unclaimed"]
+    assert unclaimed.pop("guard") == "otmcp init does not know how writes are disabled"
+    assert unclaimed == dict.fromkeys(missing, "otmcp init found no tool for it")
+    assert "# Not proven, only proposed: take a line away when the adapter has what it names" in text
+    assert all(
+        f"# No tool is called like one for it: {protocols()[protocol].operations[name].meaning}.\n{name} = " in text
+        for name in missing
+    )
+    assert {sentence.partition(" (")[0] for sentence in draft.left} >= missing
+
+
+def test_a_tool_that_is_only_a_guess_is_not_declared_as_unclaimed() -> None:
+    (guess,) = guesses("modbus", "ping", {"ping_status": tool("licence")})
+    likely = Proposal(guess=guess, proven=False, evidence=["not tried"])
+    text = write_document(drafted(proposals={"ping": likely}))
+    assert "ping" not in tomllib.loads(text)["adapter"]["modbus"]["unclaimed"]
+    assert "# Only a guess; take the comment signs away when it is right." in text
+
+
+def test_a_variable_that_is_called_so_is_proposed_as_the_switch_for_writes() -> None:
+    env = {"PLC_HOST": "{host}", "PLC_WRITES": "1", "PLC_READ_ONLY": "no"}
+    switches = switches_in(["Write a register; needs ALLOW_WRITE. Set PLC_HOST.", "READ_ONLY_MODE forbids it."])
+    text = write_document(drafted(env=env, switches=switches))
+    for name, disabled, enabled in (
+        ("PLC_WRITES", "0", "1"),
+        ("PLC_READ_ONLY", "yes", "no"),
+        ("ALLOW_WRITE", "false", "true"),
+        ("READ_ONLY_MODE", "true", "false"),
+    ):
+        assert (
+            f'# ro = {{ env = {{ {name} = "{disabled}" }} }}\n# rw = {{ env = {{ {name} = "{enabled}" }} }}\n' in text
+        )
+    assert "# PLC_HOST" not in text
+    assert "ro" not in tomllib.loads(text)["adapter"]["modbus"]
+
+
 def test_a_voluntary_operation_is_proposed_as_a_comment_and_is_no_work_for_the_user() -> None:
     found = by_name(guesses("modbus", "mask_write", {"mask_write": tool("address and_mask or_mask")}))
     assert found is not None
-    draft = Draft(
-        protocol="modbus",
-        name="x",
-        server_version="1",
-        command=["x"],
-        env={},
-        files={},
-        era=None,
-        transport_url=None,
-        native=True,
-        proposals={"mask_write": found},
-        connect=None,
-        tools=["mask_write"],
-        longest_s=0.1,
-        errors={},
-    )
+    draft = drafted(proposals={"mask_write": found}, tools=["mask_write"])
     text = write_document(draft)
     assert "# likely: by its name and its arguments; not called\n" in text
     assert '# tool = "mask_write"\n' in text
@@ -401,6 +455,38 @@ def test_a_tool_that_may_write_is_never_guessed_for_reading() -> None:
         "read_registers": tool("address count"),
     }
     assert [guess.tool for guess in guesses("modbus", "read_holding", tools)] == ["read_registers"]
+
+
+@pytest.mark.parametrize(
+    ("protocol", "operation", "name", "arguments", "may_be_called"),
+    [
+        ("mqtt", "messages", "mqtt_unsubscribe", "topic", False),
+        ("mqtt", "messages", "mqtt_receive_messages", "topic", True),
+        ("mqtt", "messages", "get_and_clear_messages", "topic", False),
+        ("mqtt", "messages", "clearReceivedMessages", "topic", False),
+        ("mqtt", "messages", "read_messages_and_stop", "topic", False),
+        ("mqtt", "subscribe", "start_subscription", "topic", True),
+        ("mqtt", "subscribe", "unsubscribe_subscription", "topic", False),
+        ("mqtt", "unsubscribe", "mqtt_unsubscribe", "topic", True),
+        ("mqtt", "info", "reset_connection_status", "", False),
+        ("mqtt", "info", "start_health_check", "", False),
+        ("mqtt", "info", "get_start_status", "", True),
+        ("modbus", "ping", "restart_health", "", False),
+        ("modbus", "ping", "reconnect_status", "", False),
+        ("modbus", "read_holding", "read_write_registers", "address count", False),
+        ("modbus", "read_holding", "read_and_reset_registers", "address count", False),
+        ("modbus", "read_holding", "reset_holding_registers", "address count", False),
+        ("modbus", "read_holding", "plc_read_start_registers", "address count", True),
+        ("modbus", "read_holding", "plc_start_read_registers", "address count", False),
+        ("opcua", "read", "delete_node_value", "node_id", False),
+        ("opcua", "read", "get_node_value", "node_id", True),
+        ("opcua", "variables", "remove_all_variables", "", False),
+    ],
+)
+def test_a_tool_whose_name_says_that_it_changes_something_is_never_called_as_a_read(
+    protocol: str, operation: str, name: str, arguments: str, may_be_called: bool
+) -> None:
+    assert bool(guesses(protocol, operation, {name: tool(arguments)})) is may_be_called
 
 
 @pytest.mark.parametrize(
