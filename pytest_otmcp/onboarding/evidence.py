@@ -166,9 +166,12 @@ def _rules(document: object, expected: object, told: Mapping[str, object]) -> It
             except ValueError:
                 inner = None
             if isinstance(inner, dict | list):
-                yield from ({"path": path, "as": "json", "then": place} for place, _ in _places(inner, "") if place)
-            for rule in _in_text(value, expected):
-                yield {"path": path, **rule}
+                # Of a text that is JSON a pattern would find the right place by chance alone.
+                yield from (
+                    {"path": path, "as": "json", "then": place} for place, _ in _places(inner, "", told) if place
+                )
+                continue
+            yield from ({"path": path, **rule} for rule in _in_text(value, expected))
 
 
 def _places(value: object, path: str, told: Mapping[str, object] | None = None) -> Iterator[tuple[str, object]]:

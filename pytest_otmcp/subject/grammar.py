@@ -128,7 +128,7 @@ OUTPUT_TABLE = Table(
             OneOf(("int", "float", "bool", "string", "hex", "bytes", "json", "python", "literal")),
             "The type of the value; of a list, of each element. 'literal' is a literal if it is one, else the text.",
         ),
-        "then": Key(PATH, "JMESPath over what 'as' made."),
+        "then": Key(PATH, "JMESPath over what 'as' made, with the same names."),
     }
 )
 _OUTPUT = Named("output", ByType(str, PATH, OUTPUT_TABLE))

@@ -93,7 +93,7 @@ class OutputRule:
         strip: prefix that is taken off, as ``2:`` off a browse name.
         convert: ``int``, ``float``, ``bool``, ``string``, ``json``, ``python``, ``literal``, ``hex`` or ``bytes``; for a list, of
             each element.
-        then: JMESPath over the result of ``convert``.
+        then: JMESPath over the result of ``convert``, with the same names.
         wrap: a single value becomes a list of one.
     """
 
@@ -107,9 +107,13 @@ class OutputRule:
 
     def about(self, told: Mapping[str, object]) -> OutputRule:
         """Return the rule for a call of which the tool was told these inputs."""
-        if self.path is None or '"$' not in self.path:
+        if '"$' not in f"{self.path}{self.then}":
             return self
-        return replace(self, path=_ASKED_MEMBER.sub(lambda match: _member(match, told), self.path))
+
+        def named(path: str | None) -> str | None:
+            return None if path is None else _ASKED_MEMBER.sub(lambda match: _member(match, told), path)
+
+        return replace(self, path=named(self.path), then=named(self.then))
 
 
 _ASKED_MEMBER = re.compile(r'"\$(\w+)"')
@@ -215,8 +219,6 @@ class Binding:
 
     def outputs_for(self, inputs: Mapping[str, object]) -> Mapping[str, OutputRule]:
         """Return where the outputs are in the answer to a call with these inputs."""
-        if all(rule.path is None or '"$' not in rule.path for rule in self.outputs.values()):
-            return self.outputs
         told = self.told(inputs)
         return {name: rule.about(told) for name, rule in self.outputs.items()}
 

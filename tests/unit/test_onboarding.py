@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,6 +20,8 @@ from pytest_otmcp.onboarding.evidence import (
     find,
     known_errors,
     lists_in,
+    no_result,
+    same_value,
     turned_false,
 )
 from pytest_otmcp.onboarding.guess import Guess
@@ -218,6 +221,117 @@ def test_a_known_value_is_found_and_its_rule_finds_it_again(message: Mapping[str
     assert found is not None
     rule = OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in found.rule.items()})
     assert extract({"x": rule}, read_answer(message, found.form)[0]) == {"x": expected}
+
+
+def sample(message: Mapping[str, Any], expected: Any, kind: str = "", **told: Any) -> Sample:
+    return Sample(message=message, expected=expected, told=told, kind=kind)
+
+
+def prose(node: str, value: object, *, after: str = "") -> Mapping[str, Any]:
+    return answer(f"Node {node} value: {value}{after}")
+
+
+SENTENCES = [(41.25, "41.25"), (-3, "-3"), (True, "True"), ([1, -2], "[1, -2]"), ("two, words", "two, words")]
+"""Values, and how Python prints them."""
+
+
+@pytest.mark.parametrize(
+    ("samples", "rule"),
+    [
+        (
+            [sample(answer("x", {"values": {node: value}}), value, node=node) for node, value in (("a", 1.5), ("b", 2.5))],
+            {"path": 'values."$node"'},
+        ),
+        (
+            [
+                sample(answer("x", {one: {"v": 1}, other: {"v": 2}}), [1, 2], nodes=[one, other])
+                for one, other in (("a", "b"), ("d", "c"))
+            ],
+            {"path": '"$nodes"[].v'},
+        ),
+        (
+            [sample(answer("x", {"result": json.dumps({"v": {node: 7}})}), 7, node=node) for node in ("a", "b")],
+            {"path": "result", "as": "json", "then": 'v."$node"'},
+        ),
+        (
+            [sample(prose("n", said), value, type(value).__name__) for value, said in SENTENCES],
+            {"regex": r"(?s)value:\s*(.*)$", "as": "literal"},
+        ),
+        (
+            [sample(prose("n", said, after=" (Good)"), value, type(value).__name__) for value, said in SENTENCES],
+            {"regex": r"value:\s*(.*?)\s*\(", "as": "literal"},
+        ),
+        (
+            [sample(answer(f"ns=2;s={name} = {value}"), value, node=name) for name, value in (("a", 1.5), ("b", 2.5))],
+            {"regex": r"(?s)^.*=\s*(.*)$", "as": "literal"},
+        ),
+        (
+            [sample(answer("x", {"v": value}), value, type(value).__name__) for value, _ in SENTENCES],
+            {"path": "v"},
+        ),
+        ([sample(answer(f"the value of {node} is {value}"), value, node=node) for node, value in (("a", 1), ("b", 2))], {"regex": r"(?s)is\s*(.*)$", "as": "literal"}),
+        ([sample(answer("value: 1.5"), 1.5, node="a"), sample(answer("value: 1.5"), 2.5, node="b")], None),
+    ],
+    ids=["member", "members", "in a text", "prose", "with a quality", "after the name", "typed", "sentence", "always the same"],
+)  # fmt: skip
+def test_a_place_is_right_for_every_answer(samples: list[Sample], rule: Mapping[str, object] | None) -> None:
+    found = find(samples, ("structured", "text"))
+    assert (None if found is None else found.rule) == rule
+    assert found is None or not found.missed
+
+
+def test_a_pattern_of_one_type_does_not_take_everything() -> None:
+    first, *others = [sample(prose("n", said, after=" bar"), value, type(value).__name__) for value, said in SENTENCES]
+    found = find([first, *others])
+    assert found is not None
+    assert not found.takes_everything
+    assert [missed.expected for missed in found.missed] == [[1, -2], "two, words"]
+
+
+def test_a_place_that_takes_everything_is_found_although_one_answer_is_wrong() -> None:
+    wrong = sample(answer("x", {"v": 9007199254740992.0}), 9007199254740993, "large")
+    found = find([sample(answer("x", {"v": 1.5}), 1.5, "float"), wrong])
+    assert found is not None
+    assert (found.rule, found.missed, found.takes_everything) == ({"path": "v"}, (wrong,), True)
+
+
+@pytest.mark.parametrize(
+    ("found", "expected", "same"),
+    [
+        ("9007199254740993", 9007199254740993, True),
+        (9007199254740992.0, 9007199254740993, False),
+        ("7", 7, False),
+        ("2026-11-22 12:00:00.5", "2026-11-22T12:00:00.500+00:00", True),
+        ("2026-11-22T12:00:00.500Z", "2026-11-22T12:00:00.500+00:00", True),
+        ("2026-11-22T13:00:00.500Z", "2026-11-22T12:00:00.500+00:00", False),
+        ("2026-11-22 yesterday", "2026-11-22T12:00:00.500+00:00", False),
+        (1, True, False),
+        (False, False, True),
+        (5.0, 5, True),
+        ([1, True], [1, 1], False),
+    ],
+)
+def test_what_says_a_value_is_told_from_what_does_not(found: object, expected: object, same: bool) -> None:
+    assert same_value(found, expected) is same
+
+
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        ({"result": {"content": [{"type": "text", "text": "7"}]}}, None),
+        ({"result": {"content": []}}, None),
+        ({"result": {"content": [{"type": "json", "json": 7}]}}, "a content block of the type 'json', which MCP does not know"),
+        ({"result": {"content": ["7"]}}, "a content block of the type None, which MCP does not know"),
+        ({"result": {"content": [{"type": "text"}]}}, "a text block without a text"),
+        ({"result": {"value": 7}}, "a result whose content is no list"),
+        ({"result": 7, "id": 1}, "error None instead of a result: 'None'"),
+        ({"error": {"code": -32602, "message": "Invalid\n result"}}, "error -32602 instead of a result: 'Invalid result'"),
+    ],
+)  # fmt: skip
+def test_an_answer_that_is_no_result_of_a_tool_call_is_said_to_be_none(
+    message: Mapping[str, Any], why: str | None
+) -> None:
+    assert no_result(message) == why
 
 
 def test_a_value_that_is_not_there_is_not_found() -> None:
