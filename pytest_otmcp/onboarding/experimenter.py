@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 from ..core.strict_json import parse_strict
 from ..plant.mock_device import MockDevice
-from ..protocols.exercise import Asked
+from ..protocols.exercise import Asked, Exercise
 from ..protocols.journal import judged
 from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
@@ -18,7 +18,7 @@ from ..subject.addressing import mentions_address
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding
 from ..trial.adapter_under_test import AdapterUnderTest, NoBindingError
-from .evidence import Found, Sample, find, no_result, tells_failure
+from .evidence import Found, Sample, find, no_result, same_value, tells_failure
 from .guess import Guess
 from .proposal import Proposal, Shown
 
@@ -111,8 +111,8 @@ class Experimenter:
                 await self._prove_session(guess)
             proposal = await experiment(self, guess)
             self._refute(proposal)
-            if proposal.proven and not self._writing:
-                await self._vary(proposal)
+            if proposal.proven:
+                await (self._write_further if self._writing else self._vary)(proposal)
             return proposal
         except (_NotProvenError, NoBindingError) as problem:
             return Proposal(guess=guess, proven=False, evidence=[f"not tried, nothing was written: {problem}"])
@@ -150,6 +150,35 @@ class Experimenter:
         for output in proposal.samples:
             self._place(proposal, output, alone=bool(failed))
         proposal.caveats += [f"with {'; '.join(places)}: {words}" for words, places in failed.items()]
+
+    async def _write_further(self, proposal: Proposal) -> None:
+        """Write to further targets, and values of further types; take the proof back where a tool says each time that it wrote, and never
+        did."""
+        exercise = protocols()[self.adapter.adapter.protocol].exercise
+        if exercise is None:
+            return
+        calls = [exercise.write(self.random), *(exercise.every_write(self.random) if exercise.every_write else ())]
+        done, claimed = 0, list[str]()
+        for asked in (asked for asked in calls if asked.operation == proposal.guess.operation):
+            for poke in asked.pokes:
+                await self.device.poke(**poke)
+            shown = await self.call(proposal.guess, proposal.offset, **asked.inputs)
+            if await self._was_done(exercise, asked, shown):
+                done += 1
+            elif shown.message is None or tells_failure(shown.message):
+                proposal.caveats.append(f"with {_about(shown.told)} the device was not told it; {shown.words}")
+            else:
+                claimed.append(f"with {_about(shown.told)} the device was not told it, although {shown.words}")
+        proposal.caveats += claimed
+        if claimed and not done:
+            proposal.proven = False
+            proposal.evidence.insert(0, f"{proposal.evidence[0]}, but {claimed[0]}")
+
+    async def _was_done(self, exercise: Exercise, asked: Asked, shown: Shown) -> bool:
+        if not asked.points:
+            return bool(exercise.done(shown.entries, asked))
+        points = (await self.device.image())["points"]
+        return all(same_value(points.get(name), value) for name, value in asked.points.items())
 
     def _further(self, operation: str) -> list[Asked]:
         """Return further calls of an operation whose good answers are known."""

@@ -416,7 +416,7 @@ class AdapterUnderTest:
         failure = await self.connect()
         if failure is not None:
             tool = self.adapter.connect.tool if self.adapter.connect is not None else ""
-            raise SubjectError("connect_step", f"the connect step {tool!r} failed: {failure[:400]}")
+            raise SubjectError("connect_step", f"the connect step {tool!r} failed: {failure[:2000]}")
 
     async def connect(self) -> str | None:
         """Perform the subject's connect step, if it has one; returns the words of its failure, or None."""

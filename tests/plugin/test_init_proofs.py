@@ -173,6 +173,37 @@ for line in sys.stdin:
         print(json.dumps({"jsonrpc": "2.0", "id": message["id"], **answer}), flush=True)
 """
 
+# Its tool for writing takes registers of one table and a setpoint's name for an address: whatever it is told, it writes register 12.
+SETPOINT = """
+import os
+from mcp.server import MCPServer
+from pymodbus.client import ModbusTcpClient
+
+server = MCPServer("setpoint")
+client = ModbusTcpClient(os.environ["PLC_HOST"], port=int(os.environ["PLC_PORT"]), retries=0)
+
+
+@server.tool(structured_output=False)
+def read_holding_registers(address: int, count: int) -> str:
+    client.connect()
+    found = client.read_holding_registers(address, count=count, device_id=1)
+    if found.isError():
+        raise ValueError(str(found))
+    return str(found.registers)
+
+
+@server.tool(structured_output=False)
+def set_register(address: int, value: int) -> str:
+    client.connect()
+    if "REFUSES" in os.environ and address != 12:
+        raise ValueError("register 12 is the only one")
+    client.write_register(12, value, device_id=1)
+    return "written"
+
+
+server.run()
+"""
+
 Init = Callable[..., tuple[str, Adapter]]
 
 
@@ -322,6 +353,30 @@ def test_a_tool_that_answers_for_one_node_alone_is_no_binding(read_of: Callable[
         "read            read_opcua_node (asked, but not read: the device saw a Read of the node; no one place" in told
     )
     assert "read" not in adapter.operations
+
+
+def test_a_write_is_proven_at_several_addresses(init: Init) -> None:
+    told, adapter = init("modbus", SETPOINT, PLC_HOST="{host}", PLC_PORT="{port}")
+    assert (
+        "read_holding    read_holding_registers (proven: the device saw function 3 for address 10, quantity 3)" in told
+    )
+    assert re.search(
+        r"write_holding   set_register \(not proven: the device saw function 6 for address 12, .*, but with address \d+, value \d+ "
+        r"the device was not told it, although it answered: 'written'\)",
+        told,
+    )
+    assert "write_holding" not in adapter.operations
+
+
+def test_a_write_that_is_refused_elsewhere_is_proven_where_it_is_not(init: Init, tmp_path: Path) -> None:
+    told, adapter = init("modbus", SETPOINT, PLC_HOST="{host}", PLC_PORT="{port}", REFUSES="1")
+    assert "write_holding   set_register (proven: the device saw function 6 for address 12" in told
+    assert "; not everything, see the file)" in told
+    written = (tmp_path / "otmcp.toml").read_text(encoding="utf-8")
+    assert re.search(
+        r"# not proven: with address \d+, value \d+ the device was not told it; it failed: 'Error executing", written
+    )
+    assert "write_holding" in adapter.operations
 
 
 @pytest.mark.parametrize("fault", ["block", "error"])
