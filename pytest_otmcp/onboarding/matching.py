@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence, Set
 from typing import Any
 
 from ..protocols.registry import protocols
+from ..subject.addressing import mentions_address
 from ..subject.model import placeholders
 from .guess import Guess
 from .input_schema import choice, kinds, properties, required, resolved
 from .pack import Hints, Pack
 
-__all__ = ["guess_connect", "guess_tools"]
+__all__ = ["guess_steps", "guess_tools", "registered"]
 
 _ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value"}
 """Inputs that operations of any protocol have, to the names that tools have for them; packs add their own inputs."""
@@ -57,24 +58,106 @@ _FOREIGN = re.compile(
 """Names of protocols that the kit does not know, in the names and descriptions of tools."""
 
 
-def guess_tools(pack: Pack, operation: str, tools: Mapping[str, Mapping[str, object]]) -> list[Guess]:
-    """Guess the tools that may perform the operation, likeliest first."""
-    found = [guess for name, tool in tools.items() if (guess := _guess(pack, operation, name, tool)) is not None]
+def guess_tools(
+    pack: Pack, operation: str, tools: Mapping[str, Mapping[str, object]], names: Mapping[str, str] | None = None
+) -> list[Guess]:
+    """Guess the tools that may perform the operation, likeliest first.
+
+    Args:
+        names: arguments that name a device which was registered, each with the name.
+    """
+    found = [
+        guess for name, tool in tools.items() if (guess := _guess(pack, operation, name, tool, names or {})) is not None
+    ]
     return sorted(found, key=lambda guess: (-guess.score, guess.tool))
 
 
-def guess_connect(tools: Mapping[str, Mapping[str, object]]) -> Guess | None:
-    """Guess the tool that has to be called before all others, by its name and its arguments."""
-    for name, tool in tools.items():
-        words = _words(name)
-        if "connect" in words and not words & {"disconnect", "status", "info", "list"}:
-            known = properties(resolved(tool, None))
-            arguments = {key: value for key in known if (value := _endpoint(key, known[key])) is not None}
-            if arguments:
-                return Guess(
-                    operation="connect", tool=name, score=1.0, arguments=arguments, convert={}, missing=(), trials={}
-                )
-    return None
+def guess_steps(pack: Pack, tools: Mapping[str, Mapping[str, object]]) -> list[Guess]:
+    """Guess the tools that may have to be called before all others, because they are told where the device is; likeliest first.
+
+    A tool that registers a device under a name is only one where another tool has to be told that name.
+    """
+    found = [guess for name, tool in tools.items() if (guess := _step(pack, name, tool)) is not None]
+    wanted = {name: {*required(resolved(tool, None))} for name, tool in tools.items()}
+    used = [
+        guess
+        for guess in found
+        if guess.score > _REGISTERING
+        or any(not keys.isdisjoint(registered(guess)) for name, keys in wanted.items() if name != guess.tool)
+    ]
+    return sorted(used, key=lambda guess: -guess.score)
+
+
+def registered(step: Guess | None) -> dict[str, str]:
+    """Return the arguments of other tools that may name what a step has registered, each with that name."""
+    given = {} if step is None else {key: value for key, value in step.arguments.items() if value == _REGISTERED}
+    # What is called a name where it is registered is called an id, or the device, where it is used.
+    return dict.fromkeys((*given, *(_NAMES if given else ())), _REGISTERED)
+
+
+_CONNECTING, _OPENING, _REGISTERING = 3.0, 2.0, 1.0
+_NO_STEP = frozenset("disconnect reconnect status info list get remove delete close test check".split())
+_DEVICES = frozenset(
+    "device devices plc controller server endpoint broker connection session target gateway client".split()
+)
+_OPENS, _REGISTERS = (
+    frozenset("open establish start create".split()),
+    frozenset("add register define configure create".split()),
+)
+_REGISTERED = "otmcp"
+"""The name under which a device is registered."""
+_THINGS = ("device", "plc", "connection", "conn", "server", "controller", "client", "target")
+_NAMES = ("name", "id", "alias", "label", *(f"{thing}{end}" for thing in _THINGS for end in ("_id", "_name", "")))
+
+_PLACES: tuple[tuple[str, tuple[str, ...]], ...] = (
+    (r"^(\w+_)?port$", ("{port:int}",)),
+    (r"^(\w+_)?(url|uri|endpoint)$", ("{url}",)),
+    (r"^(\w+_)?(host|hostname|ip|ip_?addr(ess)?|address|addr)$", ("{host}", "{host}:{port}", "{url}")),
+)
+"""Patterns of arguments that tell a step where the device is, to the values they may mean: the first where the port is told beside it."""
+
+
+def _step(pack: Pack, name: str, tool: Mapping[str, Any]) -> Guess | None:
+    words, schema = _words(name), resolved(tool, None)
+    score = (
+        _CONNECTING
+        if "connect" in words
+        else _OPENING
+        if words & _OPENS and words & {"connection", "session"}
+        else _REGISTERING
+        if words & _REGISTERS and words & _DEVICES
+        else 0.0
+    )
+    if not score or words & _NO_STEP or _is_foreign(pack.protocol, name, tool):
+        return None
+    known, needed = properties(schema), required(schema)
+    arguments: dict[str, object] = {}
+    trials: dict[str, tuple[str, ...]] = {}
+    ported = any(re.search(r"(^|_)port$", key, re.IGNORECASE) for key in known)
+    for key, described in known.items():
+        places = next((values for pattern, values in _PLACES if re.match(pattern, key, re.IGNORECASE)), ())
+        constant, protocol = _constant(pack, key), _named_protocol(pack, described)
+        if places and (len(places) == 1 or ported):
+            arguments[key] = "{port}" if places[0] == "{port:int}" and kinds(described) == {"string"} else places[0]
+        elif places:
+            trials[key] = places[1:] + places[:1]
+        elif protocol is not None or constant is not None:
+            arguments[key] = constant if protocol is None else protocol
+        elif key in needed and key.lower() in _NAMES:
+            arguments[key] = _REGISTERED
+    if not trials and not any(mentions_address(value) for value in arguments.values()):
+        return None
+    missing = tuple(key for key in needed if key not in arguments and key not in trials)
+    return Guess(
+        operation="connect", tool=name, score=score, arguments=arguments, convert={}, missing=missing, trials=trials
+    )
+
+
+def _named_protocol(pack: Pack, described: Mapping[str, Any]) -> str | None:
+    """Return the choice of an enumerated argument that is the protocol."""
+    return choice(
+        described, re.compile(rf"^({'|'.join(map(re.escape, (pack.protocol, *pack.names)))})$", re.IGNORECASE)
+    )
 
 
 def _in_order(name: str) -> list[str]:
@@ -118,7 +201,9 @@ def _only_reads(words: Sequence[str]) -> bool:
     return first in _READS and _JOINS.isdisjoint(words)
 
 
-def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Guess | None:
+def _guess(
+    pack: Pack, operation: str, name: str, tool: Mapping[str, Any], registered_as: Mapping[str, str]
+) -> Guess | None:
     asked, hints = protocols()[pack.protocol].operations[operation], pack.operations[operation]
     words, likely = _words(name), set(hints.likely.split())
     if hints.needed and not words & set(hints.needed.split()):
@@ -132,6 +217,8 @@ def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Gu
     inputs = {name: tuple(names[name].split()) for name in asked.inputs if name in names}
     arguments, optional, convert = _arguments(pack, hints, inputs, schema)
     placed = placeholders(arguments)
+    needed = required(schema)
+    arguments |= {key: registered_as[key] for key in needed if key in registered_as and key not in arguments}
     trials = {
         argument: values
         for argument in required(schema)

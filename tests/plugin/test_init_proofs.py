@@ -204,6 +204,53 @@ def set_register(address: int, value: int) -> str:
 server.run()
 """
 
+# It has to be told where the device is by a tool, in other words than most.
+STEPS = """
+import os
+from mcp.server import MCPServer
+from pymodbus.client import ModbusTcpClient
+
+server = MCPServer("steps")
+devices = {}
+
+
+def read(device: str, address: int, count: int) -> str:
+    found = devices[device].read_holding_registers(address, count=count, device_id=1)
+    if found.isError():
+        raise ValueError(str(found))
+    return str(found.registers)
+
+
+if os.environ["STEP"] == "register":
+
+    @server.tool(structured_output=False)
+    def add_device(device_id: str, ip_address: str, port: int) -> str:
+        devices[device_id] = ModbusTcpClient(ip_address, port=port, retries=0)
+        return "added"
+
+    @server.tool(structured_output=False)
+    def read_holding_registers(device: str, address: int, count: int) -> str:
+        devices[device].connect()
+        return read(device, address, count)
+
+else:
+
+    @server.tool(structured_output=False)
+    def connect_plc(address: str, licence: str = "") -> str:
+        host, _, port = address.partition(":")
+        devices[""] = ModbusTcpClient(host, port=int(port), retries=0)
+        if os.environ["STEP"] == "refused" or not devices[""].connect():
+            raise ValueError("no licence")
+        return "connected"
+
+    @server.tool(structured_output=False)
+    def read_holding_registers(address: int, count: int) -> str:
+        return read("", address, count)
+
+
+server.run()
+"""
+
 Init = Callable[..., tuple[str, Adapter]]
 
 
@@ -353,6 +400,24 @@ def test_a_tool_that_answers_for_one_node_alone_is_no_binding(read_of: Callable[
         "read            read_opcua_node (asked, but not read: the device saw a Read of the node; no one place" in told
     )
     assert "read" not in adapter.operations
+
+
+def test_a_device_that_a_tool_registers_is_read_by_its_name(init: Init) -> None:
+    told, adapter = init("modbus", STEPS, STEP="register")
+    assert adapter.connect is not None
+    assert adapter.connect.tool == "add_device"
+    assert adapter.connect.arguments == {"device_id": "otmcp", "ip_address": "{host}", "port": "{port:int}"}
+    assert "read_holding    read_holding_registers (proven" in told
+    (binding,) = adapter.operations["read_holding"]
+    assert binding.arguments == {"device": "otmcp", "address": "$address", "count": "$count"}
+
+
+def test_a_step_whose_argument_may_mean_several_things_is_tried_until_the_device_is_reached(init: Init) -> None:
+    told, adapter = init("modbus", STEPS, STEP="connect")
+    assert "connect         connect_plc (proven: the device was reached)" in told
+    assert adapter.connect is not None
+    assert adapter.connect.arguments == {"address": "{host}:{port}"}
+    assert "read_holding    read_holding_registers (proven" in told
 
 
 def test_a_write_is_proven_at_several_addresses(init: Init) -> None:

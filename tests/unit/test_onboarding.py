@@ -26,7 +26,7 @@ from pytest_otmcp.onboarding.evidence import (
 )
 from pytest_otmcp.onboarding.guess import Guess
 from pytest_otmcp.onboarding.known_causes import find_advice
-from pytest_otmcp.onboarding.matching import guess_connect, guess_tools
+from pytest_otmcp.onboarding.matching import guess_steps, guess_tools, registered
 from pytest_otmcp.onboarding.pack import load_pack
 from pytest_otmcp.onboarding.proposal import Proposal, by_name
 from pytest_otmcp.protocols.registry import protocols
@@ -171,9 +171,81 @@ def test_a_connect_step_is_recognised() -> None:
         "mqtt_disconnect": tool(),
         "mqtt_connect": tool(broker_host={"type": "string"}, broker_port={"type": "integer"}),
     }
-    step = guess_connect(tools)
-    assert step is not None
+    (step,) = guess_steps(load_pack("mqtt"), tools)
     assert (step.tool, step.arguments) == ("mqtt_connect", {"broker_host": "{host}", "broker_port": "{port:int}"})
+
+
+def texts(names: str) -> dict[str, Any]:
+    return {name: {"type": "string"} for name in names.split()}
+
+
+@pytest.mark.parametrize(
+    ("protocol", "name", "listing", "arguments", "trials"),
+    [
+        (
+            "s7",
+            "connect_plc",
+            tool("address rack slot tcp_port", **texts("address")),
+            {"address": "{host}", "rack": 0, "slot": 1, "tcp_port": "{port:int}"},
+            {},
+        ),
+        (
+            "modbus",
+            "connect_device",
+            tool("target_ip", "unit_id", **texts("target_ip")),
+            {"unit_id": 1},
+            {"target_ip": ("{host}:{port}", "{url}", "{host}")},
+        ),
+        ("opcua", "open_session", tool("server_url", **texts("server_url")), {"server_url": "{url}"}, {}),
+        (
+            "modbus",
+            "add_device",
+            tool("name host port type", **texts("name host"), type={"enum": ["bacnet", "modbus-tcp"]}),
+            {"name": "otmcp", "host": "{host}", "port": "{port:int}", "type": "modbus-tcp"},
+            {},
+        ),
+    ],
+)
+def test_a_step_is_told_the_device_by_whatever_name(
+    protocol: str, name: str, listing: dict[str, Any], arguments: dict[str, Any], trials: dict[str, Any]
+) -> None:
+    tools = {name: listing, "read_holding_registers": tool("device_id address count", **texts("device_id"))}
+    (step,) = guess_steps(load_pack(protocol), tools)
+    assert (step.tool, step.arguments, step.trials, step.missing) == (name, arguments, trials, ())
+
+
+def test_a_step_that_needs_what_nobody_knows_says_so() -> None:
+    (step,) = guess_steps(load_pack("s7"), {"connect_plc": tool("address licence port", **texts("address licence"))})
+    assert step.missing == ("licence",)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("connect", ""),
+        ("connection_status", "host port"),
+        ("disconnect", "host port"),
+        ("list_connections", "host"),
+        ("remove_device", "name host"),
+        ("opcua_connect", "host port"),
+        ("add_note", "name host"),
+    ],
+)
+def test_what_is_not_told_where_the_device_is_or_does_something_else_is_no_step(name: str, arguments: str) -> None:
+    tools = {name: tool(arguments), "read_holding_registers": tool("name address count")}
+    assert guess_steps(load_pack("modbus"), tools) == []
+
+
+def test_a_device_is_only_registered_where_another_tool_is_told_its_name() -> None:
+    add = tool("name host port", **texts("name host"))
+    pack = load_pack("modbus")
+    assert guess_steps(pack, {"add_device": add, "read_holding_registers": tool("address count")}) == []
+    reading = tool("device_id address count", **texts("device_id"))
+    (step,) = guess_steps(pack, {"add_device": add, "read_holding_registers": reading})
+    (guess,) = guess_tools(pack, "read_holding", {"read_holding_registers": reading}, registered(step))
+    assert guess.arguments == {"device_id": "otmcp", "address": "$address", "count": "$count"}
+    assert guess.missing == ()
+    assert registered(None) == {}
 
 
 def answer(text: str, structured: Any = None) -> dict[str, Any]:
