@@ -279,7 +279,7 @@ def _output(rule: Mapping[str, object]) -> object:
     return rule["path"] if set(rule) == {"path"} else dict(rule)
 
 
-def _shortened(text: str, width: int = 200) -> str:
+def _shortened(text: str, width: int = 600) -> str:
     text = " ".join(text.split())
     return text if len(text) <= width else text[:width] + " ..."
 

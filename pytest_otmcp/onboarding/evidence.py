@@ -231,7 +231,7 @@ def _in_text(text: str, expected: object) -> Iterator[dict[str, object]]:
             yield {"regex": f"{before}(.*)", "as": "literal"}
             after = re.match(r"\s*[^\w\s]", text[position + len(written) :])
             if after is not None:
-                yield {"regex": f"{before}(.*?){_escaped(after[0])}", "as": "literal"}
+                yield {"regex": f"(?s){before}(.*?){_escaped(after[0])}", "as": "literal"}
             yield {"regex": rf"{before}([^\s,;]+)", "as": "literal"}
             if kind != "string":
                 yield {"regex": before + _NARROW[kind], "as": kind}
@@ -242,16 +242,19 @@ _NARROW = {"int": r"(-?\d+)", "float": r"(-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)", "b
 
 
 def _before(text: str) -> Iterator[str]:
-    """Yield patterns of what stands before a value: the last word and what follows it, or only the last sign."""
+    """Yield patterns of what stands before a value: the last word and what follows it, or only the last sign.
+
+    The blanks are as many as there are, because a text may begin with some, and at last as many as there may be.
+    """
     word = re.search(r"[A-Za-z_]+\W*$", text)
-    yield "" if word is None else _escaped(word[0])
     sign = re.search(r"[^\w\s]\s*$", text)
-    if sign is not None:
-        yield f"^.*{_escaped(sign[0])}"
+    exact = ["" if word is None else _escaped(word[0]), *([] if sign is None else [f"^.*{_escaped(sign[0])}"])]
+    yield from exact
+    yield from (re.sub(" +", r"\\s*", before) for before in exact if " " in before)
 
 
 def _escaped(text: str) -> str:
-    return re.escape(text).replace(r"\ ", r"\s*")
+    return re.escape(text).replace(r"\ ", " ")
 
 
 def _kind(value: object) -> str:

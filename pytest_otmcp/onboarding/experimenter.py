@@ -33,8 +33,8 @@ _LATE_S = 0.2
 _ADDRESSES = 3
 """Further addresses at which a binding is proven, where the protocol's exercise knows some."""
 
-_SHOWN = 60
-"""Characters of a value that are shown."""
+_SHOWN, _SAID = 60, 600
+"""Characters that are shown of a value, and of an answer, which may have its reason at its end."""
 
 
 Another = tuple[Shown, object]
@@ -430,4 +430,6 @@ Experiment = Callable[[Experimenter, Guess], Awaitable[Proposal]]
 def words_of(message: Mapping[str, object]) -> str:
     """Return how an answer began, and whether it is an error, in a few words."""
     _, text, is_error = read_answer(message, "text")
-    return f"it {'failed' if is_error else 'answered'}: {' '.join(text.split())[:160]!r}"
+    said = " ".join(text.split())
+    cut = "" if len(said) <= _SAID else f" ... ({len(said)} characters)"
+    return f"it {'failed' if is_error else 'answered'}: {said[:_SAID]!r}{cut}"

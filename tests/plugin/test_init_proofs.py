@@ -350,7 +350,7 @@ def test_a_sentence_is_read_whatever_the_type_of_its_value_is(read_of: Callable[
         ("9007199254740993", 9007199254740993),
         ("2026-11-22 12:00:00", "2026-11-22 12:00:00"),
         ("[1, -2, 3]", [1, -2, 3]),
-        ("tank 7, empty", "tank 7, empty"),
+        (" tank 7, empty ", " tank 7, empty "),
     ):
         assert read(adapter, "ns=2;s=Other", f"Node ns=2;s=Other value: {said}") == value
 

@@ -56,7 +56,8 @@ def _samples(rng: random.Random) -> tuple[Asked, ...]:
         "Int32": [-rng.randrange(1000, 2**31)],
         # No floating-point number holds it.
         "UInt64": [2**53 + 2 * rng.randrange(2**40) + 1],
-        "String": [f"init {rng.getrandbits(32):08x}, of two words"],
+        # A text may begin and end with blanks.
+        "String": [f"  init {rng.getrandbits(32):08x}, of two words "],
         "DateTime": [moment.isoformat(timespec="milliseconds")],
         "Int32.Vector": [[rng.randrange(-(2**31), 2**31) for _ in range(3)]],
     }
