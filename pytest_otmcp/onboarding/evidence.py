@@ -214,7 +214,8 @@ def _in_text(text: str, expected: object) -> Iterator[dict[str, object]]:
         kind = _kind(expected[0]) if expected else "string"
         yield {"split": ",", "as": kind}
         yield {"regex": r"\[([^\]]*)\]", "split": ",", "as": kind}
-        yield {"regex": r":\s*([-\d.,\s]+)$", "split": ",", "as": kind}
+        # Of one element a tool may give the value itself in the place of a list.
+        yield {"regex": r"[\[:=]\s*([^\[\]:=]*?)\]?\s*$", "split": ",", "as": kind}
         yield {"as": "bytes"}
         return
     kind = _kind(expected)

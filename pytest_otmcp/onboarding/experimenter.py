@@ -142,6 +142,9 @@ class Experimenter:
             shown = await self.call(proposal.guess, proposal.offset, **asked.inputs)
             if shown.message is None or no_result(shown.message) or tells_failure(shown.message):
                 failed.setdefault(shown.words, []).append(_about(shown.told))
+                if shown.message is None:
+                    # Each further call might take as long as this one.
+                    break
                 continue
             for output, samples in proposal.samples.items():
                 if output in asked.outputs:
@@ -167,6 +170,8 @@ class Experimenter:
                 done += 1
             elif shown.message is None or tells_failure(shown.message):
                 proposal.caveats.append(f"with {_about(shown.told)} the device was not told it; {shown.words}")
+                if shown.message is None:
+                    break
             else:
                 claimed.append(f"with {_about(shown.told)} the device was not told it, although {shown.words}")
         proposal.caveats += claimed

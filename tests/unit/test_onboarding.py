@@ -346,9 +346,13 @@ SENTENCES = [(41.25, "41.25"), (-3, "-3"), (True, "True"), ([1, -2], "[1, -2]"),
             [sample(answer(f"value:{value:>10}"), value, node=node) for node, value in (("a", 1.5), ("b", 12.25))],
             {"regex": r"(?s)value:\s*(.*)$", "as": "literal"},
         ),
+        (
+            [sample(answer(f"Holding registers: {said}"), values) for values, said in (([1, -2], "[1, -2]"), ([7], "7"))],
+            {"regex": r"[\[:=]\s*([^\[\]:=]*?)\]?\s*$", "split": ",", "as": "int"},
+        ),
         ([sample(answer("value: 1.5"), 1.5, node="a"), sample(answer("value: 1.5"), 2.5, node="b")], None),
     ],
-    ids=["member", "members", "in a text", "prose", "with a quality", "after the name", "typed", "sentence", "in a column", "always the same"],
+    ids=["member", "members", "in a text", "prose", "with a quality", "after the name", "typed", "sentence", "in a column", "one alone", "always the same"],
 )  # fmt: skip
 def test_a_place_is_right_for_every_answer(samples: list[Sample], rule: Mapping[str, object] | None) -> None:
     found = find(samples, ("structured", "text"))
