@@ -110,12 +110,16 @@ class Experimenter:
             if self._writing:
                 await self._prove_session(guess)
             proposal = await experiment(self, guess)
-            self._refute(proposal)
-            if proposal.proven:
-                await (self._write_further if self._writing else self._vary)(proposal)
-            return proposal
         except (_NotProvenError, NoBindingError) as problem:
             return Proposal(guess=guess, proven=False, evidence=[f"not tried, nothing was written: {problem}"])
+        self._refute(proposal)
+        if proposal.proven:
+            try:
+                await (self._write_further if self._writing else self._vary)(proposal)
+                await self._provoke(proposal)
+            except (_NotProvenError, NoBindingError) as problem:
+                proposal.caveats.append(f"nothing further was tried: {problem}")
+        return proposal
 
     def _refute(self, proposal: Proposal) -> None:
         """Take back the proof of a call that the device has seen, and whose answer is no answer to it."""
@@ -319,15 +323,21 @@ class Experimenter:
             told=shown.told,
         )
 
-    async def provoke(self, proposal: Proposal, code: str, **inputs: object) -> None:
-        """Call the tool so that it has to fail, and keep the answer for the rules that recognise failures.
+    @staticmethod
+    def provoke(proposal: Proposal, code: str, **inputs: object) -> None:
+        """Have the tool called so that it has to fail, once everything else was tried: an adapter may break by it.
 
         Args:
             code: the error code that this failure should have.
         """
-        failing = await self.call(proposal.guess, proposal.offset, **inputs)
-        if failing.message is not None:
-            proposal.failures.append((code, failing.message))
+        proposal.provocations.append((code, inputs))
+
+    async def _provoke(self, proposal: Proposal) -> None:
+        """Make the calls that have to fail, and keep the answers for the rules that recognise failures."""
+        for code, inputs in proposal.provocations:
+            failing = await self.call(proposal.guess, proposal.offset, **inputs)
+            if failing.message is not None:
+                proposal.failures.append((code, failing.message))
 
     def locate(self, proposal: Proposal, output: str, expected: object, *, also: Another | None = None) -> None:
         """Look in the answer for a value that the device is known to have given.

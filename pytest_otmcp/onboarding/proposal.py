@@ -27,6 +27,7 @@ class Proposal:
         samples: output to the answers in which its value is known, that one first.
         placed: the sentences of the evidence that say where the values are.
         caveats: sentences on further calls that proved nothing, because they failed or had another result.
+        provocations: calls that have to fail, each with the error code of the failure, and its inputs.
         failures: answers to calls that had to fail, each with the error code that it should have.
         blocking: the call waits for what it answers.
         returned: a random value came from the mock device through the tool, or to it.
@@ -45,6 +46,7 @@ class Proposal:
     samples: dict[str, list[Sample]] = field(default_factory=dict)
     placed: list[str] = field(default_factory=list)
     caveats: list[str] = field(default_factory=list)
+    provocations: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
     failures: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
     blocking: bool = False
     returned: bool = False

@@ -34,7 +34,7 @@ async def _read(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     experimenter.locate(proposal, "value", value)
     if proven:
-        await experimenter.provoke(proposal, "illegal_address", **_at(_MISSING))
+        experimenter.provoke(proposal, "illegal_address", **_at(_MISSING))
     return proposal
 
 
@@ -45,7 +45,7 @@ async def _write(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
-        await experimenter.provoke(proposal, "not_writable", **_at(_INPUT), value=value, priority=_PRIORITY)
+        experimenter.provoke(proposal, "not_writable", **_at(_INPUT), value=value, priority=_PRIORITY)
     # A command is given back, or the object would stay overridden for the experiments that follow.
     await experimenter.device.poke(object=f"{_OUTPUT[0]},{_OUTPUT[1]}", value=None, priority=_PRIORITY)
     return proposal

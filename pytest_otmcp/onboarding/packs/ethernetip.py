@@ -33,7 +33,7 @@ async def _read_tag(experimenter: Experimenter, guess: Guess) -> Proposal:
     experimenter.locate(proposal, "value", value)
     if proven:
         experimenter.locate_echo(proposal, "data_type", _TYPE)
-        await experimenter.provoke(proposal, "illegal_address", tag=_MISSING)
+        experimenter.provoke(proposal, "illegal_address", tag=_MISSING)
     return proposal
 
 
@@ -59,7 +59,7 @@ async def _write_tag(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
-        await experimenter.provoke(proposal, "range_overflow", tag=f"{_ARRAY}[0]", value=70000, type=_ELEMENT_TYPE)
+        experimenter.provoke(proposal, "range_overflow", tag=f"{_ARRAY}[0]", value=70000, type=_ELEMENT_TYPE)
     return proposal
 
 

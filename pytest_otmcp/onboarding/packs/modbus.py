@@ -53,7 +53,7 @@ async def _read(
     proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
     experimenter.locate(proposal, "values", values)
     if proven:
-        await experimenter.provoke(proposal, "illegal_address", address=9999, count=1)
+        experimenter.provoke(proposal, "illegal_address", address=9999, count=1)
     return proposal
 
 
@@ -114,7 +114,7 @@ async def _write_holding(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
-        await experimenter.provoke(proposal, "range_overflow", address=12, value=70000)
+        experimenter.provoke(proposal, "range_overflow", address=12, value=70000)
     return proposal
 
 

@@ -158,7 +158,7 @@ async def _publish(experimenter: Experimenter, guess: Guess) -> Proposal:
         guess, shown, proven=bool(own), seen=f"a PUBLISH with QoS {own[0].get('qos')}" if own else ""
     )
     if own:
-        await experimenter.provoke(proposal, "invalid_input", topic="", payload=nonce, qos=0)
+        experimenter.provoke(proposal, "invalid_input", topic="", payload=nonce, qos=0)
     return proposal
 
 

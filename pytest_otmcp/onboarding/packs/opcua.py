@@ -31,7 +31,7 @@ async def _read(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=seen, seen="a Read of the node" if seen else "")
     experimenter.locate(proposal, "value", value)
     if seen:
-        await experimenter.provoke(proposal, "illegal_address", node=_MISSING_NODE)
+        experimenter.provoke(proposal, "illegal_address", node=_MISSING_NODE)
     return proposal
 
 
@@ -109,7 +109,7 @@ async def _write(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven, seen="a Write, and holds the value" if proven else "")
     if proven:
         experimenter.locate_echo(proposal, "value", value)
-        await experimenter.provoke(proposal, "type_mismatch", node=_VALVE, value="fully open")
+        experimenter.provoke(proposal, "type_mismatch", node=_VALVE, value="fully open")
     return proposal
 
 

@@ -38,7 +38,7 @@ async def _write_outputs(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "values", list(content))
-        await experimenter.provoke(proposal, "limit_exceeded", slave=_VALVES, data=[1] * (_VALVE_OUTPUTS + 1))
+        experimenter.provoke(proposal, "limit_exceeded", slave=_VALVES, data=[1] * (_VALVE_OUTPUTS + 1))
     return proposal
 
 

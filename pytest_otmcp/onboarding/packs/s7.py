@@ -41,7 +41,7 @@ async def _read_typed(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     experimenter.locate(proposal, "value", value)
     if proven:
-        await experimenter.provoke(proposal, "illegal_address", db=_MISSING_BLOCK, start=0, type="INT")
+        experimenter.provoke(proposal, "illegal_address", db=_MISSING_BLOCK, start=0, type="INT")
     return proposal
 
 
@@ -53,7 +53,7 @@ async def _write_db(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
-        await experimenter.provoke(proposal, "range_overflow", db=_BLOCK, start=_PLACE, type="INT", value=70000)
+        experimenter.provoke(proposal, "range_overflow", db=_BLOCK, start=_PLACE, type="INT", value=70000)
     return proposal
 
 
