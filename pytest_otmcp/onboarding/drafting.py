@@ -94,7 +94,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
             under_test = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
         experimenter = Experimenter(under_test, device, pack.late, pack.samples)
         try:
-            proposals = await _try_operations(experimenter, pack, tools, registered(step), say)
+            proposals = await _try_operations(experimenter, pack, tools, registered(step), left, say)
         finally:
             await experimenter.adapter.close()
     finally:
@@ -166,6 +166,7 @@ async def _try_operations(
     pack: Pack,
     tools: Mapping[str, Mapping[str, object]],
     names: Mapping[str, str],
+    failed: Sequence[str],
     say: Callable[[str], None],
 ) -> dict[str, Proposal]:
     """Try every operation: first those that read, then those that write, at last what is said while the device is gone.
@@ -176,7 +177,7 @@ async def _try_operations(
     proposals: dict[str, Proposal] = {}
     for writes in (False, True):
         if writes:
-            await _begin_writing(experimenter, proposals.values())
+            await _begin_writing(experimenter, proposals.values(), failed)
         for operation, known in operations.items():
             if known.writes != writes:
                 continue
@@ -196,19 +197,24 @@ async def _try_operations(
     return proposals
 
 
-async def _begin_writing(experimenter: Experimenter, read: Iterable[Proposal]) -> None:
+async def _begin_writing(experimenter: Experimenter, read: Iterable[Proposal], failed: Sequence[str]) -> None:
     """Give what writes a process of its own, to which nothing was said but what was proven.
+
+    Args:
+        failed: what is to be said of steps that failed, each of which may be the reason why nothing reaches the device.
 
     Raises:
         SubjectError: the adapter talks to another device, or to none.
     """
     adapter, device = experimenter.adapter, experimenter.device
-    _refuse_unreached(adapter.endpoint, read, (await device.journal(0)).entries)
+    _refuse_unreached(adapter.endpoint, read, (await device.journal(0)).entries, failed)
     await adapter.close()
     experimenter.adapter = AdapterUnderTest(adapter.adapter, READ_WRITE, device, BenchOptions())
 
 
-def _refuse_unreached(endpoint: Mapping[str, object], tried: Iterable[Proposal], entries: Entries) -> None:
+def _refuse_unreached(
+    endpoint: Mapping[str, object], tried: Iterable[Proposal], entries: Entries, failed: Sequence[str]
+) -> None:
     """Stop before anything is written when tools answered and the mock device saw nothing at all.
 
     Raises:
@@ -217,6 +223,10 @@ def _refuse_unreached(endpoint: Mapping[str, object], tried: Iterable[Proposal],
     answered = next((proposal for proposal in tried if proposal.good is not None), None)
     if answered is None or any(entry["origin"] == "client" for entry in entries):
         return
+    if failed:
+        raise SubjectError(
+            "connect_step", f"nothing reached the mock device, and nothing was written; {'; '.join(failed)}"
+        )
     place = "host" if "host" in endpoint else "serial"
     raise SubjectError(
         "not_proven",

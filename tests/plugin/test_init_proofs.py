@@ -254,24 +254,30 @@ server.run()
 Init = Callable[..., tuple[str, Adapter]]
 
 
+def started(
+    directory: Path, warm_start: WarmStart, protocol: str, source: str, **env: str
+) -> subprocess.CompletedProcess[str]:
+    (directory / "adapter.py").write_text(source, encoding="utf-8")
+    variables = [part for name, value in env.items() for part in ("--env", f"{name}={value}")]
+    return subprocess.run(
+        [
+            *(sys.executable, "-m", "pytest_otmcp.cli", "init", "--protocol", protocol),
+            *(*variables, "--", *warm_start.python, "adapter.py"),
+        ],
+        cwd=directory,
+        capture_output=True,
+        text=True,
+        timeout=180,
+        check=False,
+    )
+
+
 @pytest.fixture
 def init(tmp_path: Path, warm_start: WarmStart) -> Init:
     """``init(protocol, source, **env)``: what ``otmcp init`` says about an adapter, and the adapter of its file."""
 
     def run(protocol: str, source: str, **env: str) -> tuple[str, Adapter]:
-        (tmp_path / "adapter.py").write_text(source, encoding="utf-8")
-        variables = [part for name, value in env.items() for part in ("--env", f"{name}={value}")]
-        done = subprocess.run(
-            [
-                *(sys.executable, "-m", "pytest_otmcp.cli", "init", "--protocol", protocol),
-                *(*variables, "--", *warm_start.python, "adapter.py"),
-            ],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=180,
-            check=False,
-        )
+        done = started(tmp_path, warm_start, protocol, source, **env)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout, load_subject(tmp_path / "otmcp.toml").adapters[protocol]
 
@@ -418,6 +424,16 @@ def test_a_step_whose_argument_may_mean_several_things_is_tried_until_the_device
     assert adapter.connect is not None
     assert adapter.connect.arguments == {"address": "{host}:{port}"}
     assert "read_holding    read_holding_registers (proven" in told
+
+
+def test_a_step_that_fails_is_the_reason_why_there_is_no_proposal(tmp_path: Path, warm_start: WarmStart) -> None:
+    done = started(tmp_path, warm_start, "modbus", STEPS, STEP="refused")
+    assert done.returncode == 1
+    told = " ".join(done.stderr.replace("|", " ").split())
+    assert "nothing reached the mock device, and nothing was written; connect: with " in told
+    for address in ("{host}:{port}", "{url}", "{host}"):
+        assert f'with {{"address": "{address}"}} the connect step \'connect_plc\' failed: Error executing tool' in told
+    assert not (tmp_path / "otmcp.toml").exists()
 
 
 def test_a_write_is_proven_at_several_addresses(init: Init) -> None:
