@@ -153,7 +153,7 @@ async def _connected(
             finally:
                 await under_test.close()
             if any(entry["origin"] == ADAPTER for entry in (await device.journal(since)).entries):
-                say(f"  connect         {variation.tool} (proven: the device was reached)")
+                say(f"  connect         {variation.tool} (the device was reached)")
                 return variation, []
             accepted = accepted or variation
     for line in failed if accepted is None else ():
