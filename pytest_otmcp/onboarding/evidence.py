@@ -61,13 +61,11 @@ class Sample:
         message: the answer.
         expected: a value or a list of values.
         told: the inputs of the operation, as the tool was told them.
-        kind: what sort of value it is, such as a type of the protocol; samples of the first one's kind have to be read.
     """
 
     message: Mapping[str, object]
     expected: object
     told: Mapping[str, object] = field(default_factory=dict)
-    kind: str = ""
 
     def read(self, form: str, rule: Mapping[str, object]) -> object:
         """Return what a rule finds in the answer."""
@@ -86,7 +84,7 @@ class Found:
     Attributes:
         form: ``structured``, ``json``, ``text`` or ``texts``.
         rule: table as a subject file has it below ``result``.
-        missed: the samples of other kinds whose values are not there.
+        missed: the samples whose values are not there.
     """
 
     form: str
@@ -101,23 +99,25 @@ class Found:
 
 
 def find(samples: Sequence[Sample], forms: Sequence[str] = FORMS) -> Found | None:
-    """Find the place where most values are, and at least all of the first sample's kind; each rule has been tried on every answer.
+    """Find the place where the first sample's value is, and most of the others; each rule has been tried on every answer.
 
-    A member that is called like what was asked for is found by that name, never by the one that happened to be asked for.
+    It is no place where it has the value of one call alone: an answer may always say the same. A member that is called like what was
+    asked for is found by that name, never by the one that happened to be asked for.
     """
-    first = samples[0]
-    usual = [sample for sample in samples[1:] if sample.kind == first.kind]
-    others = [sample for sample in samples if sample.kind != first.kind]
+    first, others = samples[0], samples[1:]
+    elsewhere = [sample for sample in others if sample.told != first.told]
     for form in forms:
         document = read_answer(first.message, form)[0]
         if document is None:
             continue
         best: Found | None = None
         for rule in _rules(document, first.expected, first.told):
-            if all(sample.fits(form, rule) for sample in (first, *usual)):
-                missed = tuple(sample for sample in others if not sample.fits(form, rule))
-                if best is None or len(missed) < len(best.missed):
-                    best = Found(form=form, rule=rule, missed=missed)
+            if not first.fits(form, rule):
+                continue
+            missed = tuple(sample for sample in others if not sample.fits(form, rule))
+            holds = not elsewhere or any(sample not in missed for sample in elsewhere)
+            if holds and (best is None or len(missed) < len(best.missed)):
+                best = Found(form=form, rule=rule, missed=missed)
         if best is not None:
             return best
     return None
@@ -212,6 +212,10 @@ def _in_text(text: str, expected: object) -> Iterator[dict[str, object]]:
     """Yield rules for a value in a text: first those that take everything, whatever its type, and at last those for its own type."""
     if isinstance(expected, list):
         kind = _kind(expected[0]) if expected else "string"
+        yield {"as": "literal"}
+        if "[" in text:
+            for before in _before(text[: text.index("[")]):
+                yield {"regex": f"(?s){before}(.*)$", "as": "literal"}
         yield {"split": ",", "as": kind}
         yield {"regex": r"\[([^\]]*)\]", "split": ",", "as": kind}
         # Of one element a tool may give the value itself in the place of a list.

@@ -152,8 +152,8 @@ class Experimenter:
                 continue
             for output, samples in proposal.samples.items():
                 if output in asked.outputs:
-                    value = asked.outputs[output]
-                    samples.append(Sample(message=shown.message, expected=value, told=shown.told, kind=_kind(value)))
+                    expected = asked.outputs[output]
+                    samples.append(Sample(message=shown.message, expected=expected, told=shown.told))
         for output in proposal.samples:
             self._place(proposal, output, alone=bool(failed))
         proposal.caveats += [f"with {'; '.join(places)}: {words}" for words, places in failed.items()]
@@ -359,7 +359,7 @@ class Experimenter:
         proposal.outputs.pop(output, None)
         proposal.caveats.clear()
         found = find(samples) if samples else None
-        several = len({_about(sample.told) for sample in samples}) > 1
+        several = any(sample.told != samples[0].told for sample in samples)
         if found is None or ((found.missed or (alone and not several)) and not found.takes_everything):
             proposal.placed = [_not_placed(samples, found)]
         else:
@@ -384,7 +384,12 @@ class Experimenter:
         """
         samples = _samples(proposal, expected, also)
         found = find(samples, ("structured", "json")) if samples else None
-        if found is not None and set(found.rule) == {"path"} and found.form == (proposal.form or found.form):
+        if (
+            found is not None
+            and not found.missed
+            and {*found.rule} == {"path"}
+            and found.form == (proposal.form or found.form)
+        ):
             proposal.form = found.form
             proposal.outputs[output] = found.rule
 
@@ -396,20 +401,9 @@ def _samples(proposal: Proposal, expected: object, also: Another | None) -> list
         *(() if also is None else [(also[0].message, also[0].told, also[1])]),
     ]
     found = [
-        Sample(message=message, expected=value, told=told, kind=_kind(expected))
-        for message, told, value in shown
-        if message is not None
+        Sample(message=message, expected=value, told=told) for message, told, value in shown if message is not None
     ]
     return found if len(found) == len(shown) else []
-
-
-def _kind(value: object) -> str:
-    """Return the sort of a value: what a rule may read without reading the others."""
-    if isinstance(value, list):
-        return "list" if len(value) > 1 else "list of one"
-    if isinstance(value, int) and abs(value) > 2**53:
-        return "large"
-    return type(value).__name__
 
 
 def _about(told: Mapping[str, object]) -> str:

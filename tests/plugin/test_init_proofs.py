@@ -189,7 +189,8 @@ def read_holding_registers(address: int, count: int) -> str:
     found = client.read_holding_registers(address, count=count, device_id=1)
     if found.isError():
         raise ValueError(str(found))
-    return str(found.registers)
+    signed = [word - 0x10000 if word >= 0x8000 and "SIGNED" in os.environ else word for word in found.registers]
+    return f"{count} registers: {signed}"
 
 
 @server.tool(structured_output=False)
@@ -406,6 +407,16 @@ def test_a_tool_that_answers_for_one_node_alone_is_no_binding(read_of: Callable[
         "read            read_opcua_node (asked, but not read: the device saw a Read of the node; no one place" in told
     )
     assert "read" not in adapter.operations
+
+
+def test_values_that_are_wrong_are_the_adapters_where_their_place_is_right(init: Init, tmp_path: Path) -> None:
+    told, adapter = init("modbus", SETPOINT, PLC_HOST="{host}", PLC_PORT="{port}", SIGNED="1")
+    assert "quantity 3; not everything, see the file)" in told
+    assert "read_holding" in adapter.operations
+    assert (
+        "# not proven: with address 90, count 4 the device holds [0, 65535, 32768, 1], and the answer says [0, -1, -32768, 1]"
+        in (tmp_path / "otmcp.toml").read_text(encoding="utf-8")
+    )
 
 
 def test_a_device_that_a_tool_registers_is_read_by_its_name(init: Init) -> None:

@@ -295,8 +295,8 @@ def test_a_known_value_is_found_and_its_rule_finds_it_again(message: Mapping[str
     assert extract({"x": rule}, read_answer(message, found.form)[0]) == {"x": expected}
 
 
-def sample(message: Mapping[str, Any], expected: Any, kind: str = "", **told: Any) -> Sample:
-    return Sample(message=message, expected=expected, told=told, kind=kind)
+def sample(message: Mapping[str, Any], expected: Any, **told: Any) -> Sample:
+    return Sample(message=message, expected=expected, told=told)
 
 
 def prose(node: str, value: object, *, after: str = "") -> Mapping[str, Any]:
@@ -326,11 +326,11 @@ SENTENCES = [(41.25, "41.25"), (-3, "-3"), (True, "True"), ([1, -2], "[1, -2]"),
             {"path": "result", "as": "json", "then": 'v."$node"'},
         ),
         (
-            [sample(prose("n", said), value, type(value).__name__) for value, said in SENTENCES],
+            [sample(prose("n", said), value, node=said) for value, said in SENTENCES],
             {"regex": r"(?s)value: (.*)$", "as": "literal"},
         ),
         (
-            [sample(prose("n", said, after=" (Good)"), value, type(value).__name__) for value, said in SENTENCES],
+            [sample(prose("n", said, after=" (Good)"), value, node=said) for value, said in SENTENCES],
             {"regex": r"(?s)value: (.*?) \(", "as": "literal"},
         ),
         (
@@ -338,7 +338,7 @@ SENTENCES = [(41.25, "41.25"), (-3, "-3"), (True, "True"), ([1, -2], "[1, -2]"),
             {"regex": r"(?s)^.*= (.*)$", "as": "literal"},
         ),
         (
-            [sample(answer("x", {"v": value}), value, type(value).__name__) for value, _ in SENTENCES],
+            [sample(answer("x", {"v": value}), value, node=said) for value, said in SENTENCES],
             {"path": "v"},
         ),
         ([sample(answer(f"the value of {node} is {value}"), value, node=node) for node, value in (("a", 1), ("b", 2))], {"regex": r"(?s)is (.*)$", "as": "literal"}),
@@ -361,7 +361,7 @@ def test_a_place_is_right_for_every_answer(samples: list[Sample], rule: Mapping[
 
 
 def test_a_pattern_of_one_type_does_not_take_everything() -> None:
-    first, *others = [sample(prose("n", said, after=" bar"), value, type(value).__name__) for value, said in SENTENCES]
+    first, *others = [sample(prose("n", said, after=" bar"), value, node=said) for value, said in SENTENCES]
     found = find([first, *others])
     assert found is not None
     assert not found.takes_everything
@@ -369,10 +369,20 @@ def test_a_pattern_of_one_type_does_not_take_everything() -> None:
 
 
 def test_a_place_that_takes_everything_is_found_although_one_answer_is_wrong() -> None:
-    wrong = sample(answer("x", {"v": 9007199254740992.0}), 9007199254740993, "large")
-    found = find([sample(answer("x", {"v": 1.5}), 1.5, "float"), wrong])
+    wrong = sample(answer("x", {"v": 9007199254740992.0}), 9007199254740993, node="c")
+    right = [sample(answer("x", {"v": value}), value, node=node) for node, value in (("a", 1.5), ("b", 2.5))]
+    found = find([*right, wrong])
     assert found is not None
     assert (found.rule, found.missed, found.takes_everything) == ({"path": "v"}, (wrong,), True)
+
+
+def test_a_place_that_has_the_value_of_one_call_alone_is_none() -> None:
+    said = [
+        sample(answer("x", {"v": 1.5}), value, node=node)
+        for node, value in (("a", 1.5), ("a", 1.5), ("b", 2.5), ("c", 3.5))
+    ]
+    assert find(said) is None
+    assert find(said[:2]) is not None
 
 
 @pytest.mark.parametrize(

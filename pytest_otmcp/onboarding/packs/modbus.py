@@ -23,8 +23,8 @@ __all__ = ["PACK"]
 _READ_COILS, _READ_DISCRETE_INPUTS = 1, 2
 _BITS = 40
 _READ_HOLDING, _READ_INPUT, _WRITE_SINGLE, _WRITE_MULTIPLE = 3, 4, 6, 16
-_VALUES = range(2000, 0x10000)
-"""Values that cannot be mistaken for an address, a count or a default."""
+_VALUES = range(2000, 0x8000)
+"""Values that cannot be mistaken for an address, a count or a default, and that have no sign to be mistaken."""
 
 _TABLE = r"^(kind|table|type|register_type|area|source)$"
 
@@ -58,8 +58,9 @@ async def _read(
 
 
 def _samples(rng: random.Random) -> tuple[Asked, ...]:
-    """Return reads at two addresses of each table: values at both bounds of a register, and one alone."""
-    words, bits = [0, 0xFFFF, rng.choice(_VALUES), 0x8000, 1], [rng.random() < 0.5 for _ in range(_BITS)]
+    """Return reads at three addresses of each table: several values, one alone, and the bounds of a register."""
+    words, bits = rng.sample(_VALUES, 5), [rng.random() < 0.5 for _ in range(_BITS)]
+    bounds: dict[bool, list[Any]] = {True: [0, 0xFFFF, 0x8000, 1], False: [True, False]}
     tables: dict[str, tuple[str, list[Any]]] = {
         "read_input": ("input_registers", words),
         "read_holding": ("holding_registers", words),
@@ -74,7 +75,7 @@ def _samples(rng: random.Random) -> tuple[Asked, ...]:
             pokes=({"unit": 1, "table": table, "address": address, "values": values},),
         )
         for operation, (table, several) in tables.items()
-        for address, values in ((50, several), (77, several[2:3]))
+        for address, values in ((50, several), (77, several[2:3]), (90, bounds[several is words]))
     )
 
 
