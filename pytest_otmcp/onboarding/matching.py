@@ -100,10 +100,8 @@ _NO_STEP = frozenset("disconnect reconnect status info list get remove delete cl
 _DEVICES = frozenset(
     "device devices plc controller server endpoint broker connection session target gateway client".split()
 )
-_OPENS, _REGISTERS = (
-    frozenset("open establish start create".split()),
-    frozenset("add register define configure create".split()),
-)
+_OPENS = frozenset("open establish start create".split())
+_REGISTERS = frozenset("add register define configure create".split())
 _REGISTERED = "otmcp"
 """The name under which a device is registered."""
 _THINGS = ("device", "plc", "connection", "conn", "server", "controller", "client", "target")
@@ -118,25 +116,17 @@ _PLACES: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 
 def _step(pack: Pack, name: str, tool: Mapping[str, Any]) -> Guess | None:
-    words, schema = _words(name), resolved(tool, None)
-    score = (
-        _CONNECTING
-        if "connect" in words
-        else _OPENING
-        if words & _OPENS and words & {"connection", "session"}
-        else _REGISTERING
-        if words & _REGISTERS and words & _DEVICES
-        else 0.0
-    )
-    if not score or words & _NO_STEP or _is_foreign(pack.protocol, name, tool):
+    score = _steps(_words(name))
+    if not score or _is_foreign(pack.protocol, name, tool):
         return None
+    schema = resolved(tool, None)
     known, needed = properties(schema), required(schema)
+    ported = any(re.search(r"(^|_)port$", key, re.IGNORECASE) for key in known)
     arguments: dict[str, object] = {}
     trials: dict[str, tuple[str, ...]] = {}
-    ported = any(re.search(r"(^|_)port$", key, re.IGNORECASE) for key in known)
     for key, described in known.items():
         places = next((values for pattern, values in _PLACES if re.match(pattern, key, re.IGNORECASE)), ())
-        constant, protocol = _constant(pack, key), _named_protocol(pack, described)
+        protocol, constant = _named_protocol(pack, described), _constant(pack, key)
         if places and (len(places) == 1 or ported):
             arguments[key] = "{port}" if places[0] == "{port:int}" and kinds(described) == {"string"} else places[0]
         elif places:
@@ -145,12 +135,23 @@ def _step(pack: Pack, name: str, tool: Mapping[str, Any]) -> Guess | None:
             arguments[key] = constant if protocol is None else protocol
         elif key in needed and key.lower() in _NAMES:
             arguments[key] = _REGISTERED
-    if not trials and not any(mentions_address(value) for value in arguments.values()):
+    if not trials and not any(map(mentions_address, arguments.values())):
         return None
     missing = tuple(key for key in needed if key not in arguments and key not in trials)
     return Guess(
         operation="connect", tool=name, score=score, arguments=arguments, convert={}, missing=missing, trials=trials
     )
+
+
+def _steps(words: set[str]) -> float:
+    """Return how likely a tool of such a name is a step; 0 for one that is none."""
+    if words & _NO_STEP:
+        return 0.0
+    if "connect" in words:
+        return _CONNECTING
+    if words & _OPENS and words & {"connection", "session"}:
+        return _OPENING
+    return _REGISTERING if words & _REGISTERS and words & _DEVICES else 0.0
 
 
 def _named_protocol(pack: Pack, described: Mapping[str, Any]) -> str | None:
