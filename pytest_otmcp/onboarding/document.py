@@ -10,18 +10,28 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..core.text import printable
+from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
 from ..subject.answers import interpret, read_answer
 from ..subject.model import Answering
 from .evidence import CONNECT_FAILED, CONNECTION_LOST, failure_rules, known_errors
 from .proposal import Proposal
 
-__all__ = ["Draft", "write_document"]
+__all__ = ["Draft", "switches_in", "write_document"]
 
 _LONG_S, _MOST_S = 3.0, 30.0
 """Seconds: a call that took longer needs another deadline than the default of 5, and no certificate is given for a longer one."""
 
 _WAITS = "receives by a call that waits"
+_NO_TOOL, _NO_SWITCH = "otmcp init found no tool for it", "otmcp init does not know how writes are disabled"
+"""Reasons for what is unclaimed; those of what was not found say who has looked."""
+
+_SWITCH = re.compile(r"READ_?ONLY|WRIT(E|ABLE|ING)", re.IGNORECASE)
+_BOTH = {
+    word: pair
+    for pair in (("true", "false"), ("1", "0"), ("yes", "no"), ("on", "off"), ("enabled", "disabled"))
+    for word in pair
+}
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -34,6 +44,7 @@ class Draft:
         proposals: operation to its proposal; an operation without a tool is missing.
         connect: tool and arguments of a connect step.
         tools: names of all its tools.
+        switches: names of variables that its tools mention and that may disable writes.
         longest_s: how long the longest call took that was answered.
         errors: error code to patterns of the texts in which the protocol's libraries report it.
         left: sentences on the entries that the user has to fill in; :func:`write_document` adds to it.
@@ -53,6 +64,7 @@ class Draft:
     tools: Sequence[str]
     longest_s: float
     errors: Mapping[str, Sequence[str]]
+    switches: Sequence[str] = ()
     left: list[str] = field(default_factory=list)
 
     @property
@@ -104,13 +116,11 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     if draft.transport_url is not None:
         lines += ['transport = "http"', f"url = {_value(draft.transport_url)}"]
     lines += [
-        "# How are writes disabled? The variant `ro` must refuse every write, `rw` must allow them, for instance:",
-        '# ro = { args = ["--read-only"] }',
-        '# rw = { env = { WRITES_ENABLED = "true" } }',
-        "# Without that there can be a conformant run, but no certificate:",
-        *_unclaimed(draft),
+        "# How are writes disabled? The variant `ro` must refuse every write, `rw` must allow them; without that there can be a",
+        "# conformant run, but no certificate. For instance:",
+        *_switches(draft),
     ]
-    draft.left.append("how writes are disabled: 'ro' and 'rw', or the facet 'guard' as unclaimed")
+    draft.left.append("how writes are disabled: 'ro' and 'rw' (until then 'guard' is declared as unclaimed)")
     if draft.connect is not None:
         tool, arguments = draft.connect
         lines += [
@@ -119,6 +129,7 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         ]
     if not draft.native:
         lines += _answer_rules(draft, form)
+    lines += _unclaimed(draft)
     # The file cannot be read without this table, even an empty one.
     lines += ["", f"[adapter.{draft.protocol}.bind]"]
     for operation in protocols()[draft.protocol].operations:
@@ -132,11 +143,40 @@ def _about_version(version: str) -> str:
     return f"The server says {_value(version)}, which may be its SDK's." if version else "The server says none."
 
 
+def switches_in(texts: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of variables in texts that may disable writes, such as ``PLC_WRITES_ENABLED``."""
+    words = [word for text in texts for word in re.findall(r"\b[A-Z][A-Z0-9]*(?:_[A-Z0-9]+)+\b", text)]
+    return tuple(dict.fromkeys(word for word in words if _SWITCH.search(word)))
+
+
+def _switches(draft: Draft) -> list[str]:
+    """Return how writes may be disabled, by the variables that are called so."""
+    given = {name: value for name, value in draft.env.items() if _SWITCH.search(name)}
+    lines = []
+    for name in dict.fromkeys((*given, *draft.switches)):
+        disables = "READ" in name.upper()
+        on, off = _BOTH.get(given.get(name, "").lower(), ("true", "false"))
+        ro, rw = (on, off) if disables else (off, on)
+        lines += [
+            f"# {name} looks like it, which is not proven:",
+            f"# ro = {{ env = {{ {name} = {_value(ro)} }} }}",
+            f"# rw = {{ env = {{ {name} = {_value(rw)} }} }}",
+        ]
+    return lines or ['# ro = { args = ["--read-only"] }', '# rw = { env = { WRITES_ENABLED = "true" } }']
+
+
 def _unclaimed(draft: Draft) -> list[str]:
-    guard = 'guard = "has no read-only mode"'
-    if not draft.spared:
-        return [f"# unclaimed = {{ {guard} }}"]
-    return [f"# ... {guard} here:", f"unclaimed = {_value(dict.fromkeys(draft.spared, _WAITS))}"]
+    """Return what is declared as missing: what a call that waits does as well, and what was not found, which proves nothing."""
+    lines = [f"{facet} = {_value(_WAITS)}" for facet in draft.spared]
+    lines += [
+        "# Not proven, only proposed: take a line away when the adapter has what it names, and say above or below how.",
+        "# The launch with writes disabled is not known yet:",
+        f"{GUARD} = {_value(_NO_SWITCH)}",
+    ]
+    for operation, asked in protocols()[draft.protocol].operations.items():
+        if operation not in draft.proposals and not asked.voluntary and operation not in draft.spared:
+            lines += [f"# No tool is called like one for it: {asked.meaning}.", f"{operation} = {_value(_NO_TOOL)}"]
+    return ["", f"[adapter.{draft.protocol}.unclaimed]", *lines]
 
 
 def _form(proposals: Iterable[Proposal]) -> str:
@@ -190,10 +230,11 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     if operation in draft.spared:
         return [f"# {operation}: {asked.meaning}. It is unclaimed above: {_WAITS}."]
     if proposal is None:
-        draft.left.append(f"{operation} ({asked.meaning}): no tool was found; bind one, or declare it as unclaimed")
+        draft.left.append(
+            f"{operation} ({asked.meaning}): no tool was found, so it is declared as unclaimed; bind one if there is one"
+        )
         return [
-            f"# {operation}: {asked.meaning}. No tool was found among {_shortened(', '.join(draft.tools), 300)}.",
-            f'# Bind one, or declare in [adapter.{draft.protocol}]: unclaimed = {{ {operation} = "why not" }}',
+            f"# {operation}: {asked.meaning}. No tool was found among {', '.join(draft.tools)}.",
             f"# {head}",
         ]
     guess = proposal.guess
@@ -212,9 +253,10 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     comments = [
         f"# {asked.meaning}",
         *(
-            f"# {'proven' if proposal.proven else 'seen' if proposal.tried else 'likely'}: {line}"
+            f"# {'likely' if not proposal.tried else 'proven' if proposal.proven and not lacking else 'seen'}: {line}"
             for line in proposal.evidence
         ),
+        *(f"# not proven: {line}" for line in proposal.caveats),
     ]
     if proposal.proven and not lacking:
         return [*comments, head, *body]
@@ -237,7 +279,7 @@ def _output(rule: Mapping[str, object]) -> object:
     return rule["path"] if set(rule) == {"path"} else dict(rule)
 
 
-def _shortened(text: str, width: int = 200) -> str:
+def _shortened(text: str, width: int = 600) -> str:
     text = " ".join(text.split())
     return text if len(text) <= width else text[:width] + " ..."
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,14 +11,15 @@ from ..core.errors import SubjectError
 from ..core.text import counted
 from ..plant.mock_device import MockDevice
 from ..protocols.envelope import check_result
-from ..protocols.journal import Entries
+from ..protocols.journal import ADAPTER, Entries
 from ..protocols.registry import protocols
 from ..subject.grammar import LONGEST_RECOVERY_S
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
-from .document import Draft
+from .document import Draft, switches_in
 from .experimenter import Experimenter
-from .matching import guess_connect, guess_tools
+from .guess import Guess
+from .matching import guess_steps, guess_tools, registered
 from .pack import Pack
 from .proposal import Proposal, by_name
 from .status import look_without_device
@@ -82,15 +84,17 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         name, version = under_test.session.server_name, under_test.session.server_version
         called = " ".join(filter(None, (name or "the adapter", version)))
         say(f"{called}: {counted(len(tools), 'tool')}: {', '.join(tools)}")
-        step = guess_connect(tools)
-        connect = None if step is None else Connect(tool=step.tool, arguments=step.arguments, again=False)
-        adapter = replace(adapter, connect=connect, era="legacy" if under_test.legacy else adapter.era)
-        if step is not None:
+        adapter = replace(adapter, era="legacy" if under_test.legacy else adapter.era)
+        step, left = None, list[str]()
+        if steps := guess_steps(pack, tools):
             await under_test.close()
+            step, left = await _connected(adapter, steps, device, say)
+            connect = None if step is None else Connect(tool=step.tool, arguments=step.arguments, again=False)
+            adapter = replace(adapter, connect=connect)
             under_test = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
-        experimenter = Experimenter(under_test, device, pack.late)
+        experimenter = Experimenter(under_test, device, pack.late, pack.samples)
         try:
-            proposals = await _try_operations(experimenter, pack, tools, say)
+            proposals = await _try_operations(experimenter, pack, tools, registered(step), left, say)
         finally:
             await experimenter.adapter.close()
     finally:
@@ -111,13 +115,59 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         proposals=proposals,
         connect=None if step is None else (step.tool, step.arguments),
         tools=tuple(tools),
+        switches=switches_in(str(tool.get("description") or "") for tool in tools.values()),
         longest_s=experimenter.longest_s,
         errors=pack.errors,
+        left=[*_nothing_valid(experimenter), *left],
     )
 
 
+def _nothing_valid(experimenter: Experimenter) -> list[str]:
+    fault = experimenter.never_valid
+    if fault is None:
+        return []
+    return [f"no answer of this server to a tool call is valid MCP ({fault}): nothing can be proven until it is mended"]
+
+
+async def _connected(
+    adapter: Adapter, steps: Iterable[Guess], device: MockDevice, say: Callable[[str], None]
+) -> tuple[Guess | None, list[str]]:
+    """Return the first step that leads to the device, else the first that does not fail; and what is to be said of those that did."""
+    accepted: Guess | None = None
+    failed: list[str] = []
+    for step in steps:
+        if step.missing:
+            failed.append(f"connect: {step.tool!r} was not called: no idea what to give for {', '.join(step.missing)}")
+            continue
+        for variation in step.variations():
+            connect = Connect(tool=variation.tool, arguments=variation.arguments, again=False)
+            under_test = AdapterUnderTest(replace(adapter, connect=connect), READ_WRITE, device, BenchOptions())
+            since = await device.mark()
+            try:
+                await under_test.open()
+            except SubjectError as failure:
+                if failure.code != "connect_step":
+                    raise
+                failed.append(f"connect: with {json.dumps(dict(variation.arguments))} {failure}")
+                continue
+            finally:
+                await under_test.close()
+            if any(entry["origin"] == ADAPTER for entry in (await device.journal(since)).entries):
+                say(f"  connect         {variation.tool} (the device was reached)")
+                return variation, []
+            accepted = accepted or variation
+    for line in failed if accepted is None else ():
+        say(f"  {line}")
+    return accepted, failed if accepted is None else []
+
+
 async def _try_operations(
-    experimenter: Experimenter, pack: Pack, tools: Mapping[str, Mapping[str, object]], say: Callable[[str], None]
+    experimenter: Experimenter,
+    pack: Pack,
+    tools: Mapping[str, Mapping[str, object]],
+    names: Mapping[str, str],
+    failed: Sequence[str],
+    say: Callable[[str], None],
 ) -> dict[str, Proposal]:
     """Try every operation: first those that read, then those that write, at last what is said while the device is gone.
 
@@ -127,11 +177,11 @@ async def _try_operations(
     proposals: dict[str, Proposal] = {}
     for writes in (False, True):
         if writes:
-            await _begin_writing(experimenter, proposals.values())
+            await _begin_writing(experimenter, proposals.values(), failed)
         for operation, known in operations.items():
             if known.writes != writes:
                 continue
-            guesses, experiment = guess_tools(pack, operation, tools), pack.operations[operation].experiment
+            guesses, experiment = guess_tools(pack, operation, tools, names), pack.operations[operation].experiment
             if experiment is not None:
                 proposal = await experimenter.best(guesses, experiment, writes=writes)
             else:
@@ -139,27 +189,32 @@ async def _try_operations(
             if proposal is not None:
                 proposals[operation] = proposal
             if not known.status and (proposal is not None or not known.voluntary):
-                say(_line(operation, proposal))
+                say(_line(operation, proposal, {*known.needed}))
     await look_without_device(experimenter, proposals)
     for operation, known in operations.items():
         if known.status:
-            say(_line(operation, proposals.get(operation)))
+            say(_line(operation, proposals.get(operation), {*known.needed}))
     return proposals
 
 
-async def _begin_writing(experimenter: Experimenter, read: Iterable[Proposal]) -> None:
+async def _begin_writing(experimenter: Experimenter, read: Iterable[Proposal], failed: Sequence[str]) -> None:
     """Give what writes a process of its own, to which nothing was said but what was proven.
+
+    Args:
+        failed: what is to be said of steps that failed, each of which may be the reason why nothing reaches the device.
 
     Raises:
         SubjectError: the adapter talks to another device, or to none.
     """
     adapter, device = experimenter.adapter, experimenter.device
-    _refuse_unreached(adapter.endpoint, read, (await device.journal(0)).entries)
+    _refuse_unreached(adapter.endpoint, read, (await device.journal(0)).entries, failed)
     await adapter.close()
     experimenter.adapter = AdapterUnderTest(adapter.adapter, READ_WRITE, device, BenchOptions())
 
 
-def _refuse_unreached(endpoint: Mapping[str, object], tried: Iterable[Proposal], entries: Entries) -> None:
+def _refuse_unreached(
+    endpoint: Mapping[str, object], tried: Iterable[Proposal], entries: Entries, failed: Sequence[str]
+) -> None:
     """Stop before anything is written when tools answered and the mock device saw nothing at all.
 
     Raises:
@@ -168,6 +223,10 @@ def _refuse_unreached(endpoint: Mapping[str, object], tried: Iterable[Proposal],
     answered = next((proposal for proposal in tried if proposal.good is not None), None)
     if answered is None or any(entry["origin"] == "client" for entry in entries):
         return
+    if failed:
+        raise SubjectError(
+            "connect_step", f"nothing reached the mock device, and nothing was written; {'; '.join(failed)}"
+        )
     place = "host" if "host" in endpoint else "serial"
     raise SubjectError(
         "not_proven",
@@ -176,8 +235,13 @@ def _refuse_unreached(endpoint: Mapping[str, object], tried: Iterable[Proposal],
     )
 
 
-def _line(operation: str, proposal: Proposal | None) -> str:
+def _line(operation: str, proposal: Proposal | None, needed: Set[str]) -> str:
     if proposal is None:
         return f"  {operation:<15} no tool found"
-    mark = "proven" if proposal.proven else "not proven" if proposal.tried else "likely"
-    return f"  {operation:<15} {proposal.guess.tool} ({mark}: {proposal.evidence[0]})"
+    mark, evidence = "not proven" if proposal.tried else "likely", proposal.evidence[0]
+    if proposal.proven and needed <= proposal.outputs.keys():
+        mark = "proven"
+        evidence += "; not everything, see the file" if proposal.caveats else ""
+    elif proposal.proven:
+        mark, evidence = "asked, but not read", "; ".join([evidence, *proposal.placed])
+    return f"  {operation:<15} {proposal.guess.tool} ({mark}: {evidence})"

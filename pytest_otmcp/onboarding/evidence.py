@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from ..subject.answers import extract, interpret, read_answer
@@ -16,20 +17,28 @@ __all__ = [
     "CONNECT_FAILED",
     "FORMS",
     "Found",
+    "Sample",
+    "beyond",
     "claims_success",
     "failure_rules",
     "find",
     "known_errors",
     "lists_in",
+    "no_result",
+    "same_value",
+    "tells_failure",
     "turned_false",
 ]
 
-CONNECT_FAILED = (
-    r"(?i)connection (refused|failed)|connect call failed|unreachable|offline|not connected"
-    r"|(failed to|unable to|could not|cannot) (connect|reach)",
-)
-CONNECTION_LOST = (r"(?i)connection (was )?(lost|closed|reset|aborted)|broken pipe",)
-"""Patterns of the texts in which adapters of any protocol say that their device cannot be reached, and that the connection with it broke."""
+_LOST = r"connection (was )?(lost|closed|reset|aborted)|broken pipe"
+_NOT_MADE = r"connection refused(?!: [a-z])|connect call failed|unreachable|(failed to|unable to|could not|cannot) (connect|reach)"
+"""What a connection that broke, and one that could not be made, is called. "Refused: not authorised" is a broker's answer on a connection
+that was made; "offline" and "not connected" are said of both."""
+
+CONNECT_FAILED = (rf"(?is)^(?!.*({_LOST})).*({_NOT_MADE})",)
+CONNECTION_LOST = (rf"(?is)^(?!.*({_NOT_MADE})).*({_LOST})",)
+"""Patterns of the texts in which adapters of any protocol say that their device cannot be reached, and that the connection with it broke.
+A text that says both has neither code."""
 
 _BESIDE = {"connect_failed": ("connection_lost",)}
 """Codes of failures that may come in the place of another one: an adapter whose device has gone may say that it has just lost it."""
@@ -39,6 +48,33 @@ FORMS = ("structured", "json", "text", "texts")
 
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
+_EXACT = 2**53
+"""Integers beyond it are not the same number to every reader of JSON (RFC 8259, section 6)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """One answer, and the value that the device is known to have given for it.
+
+    Attributes:
+        message: the answer.
+        expected: a value or a list of values.
+        told: the inputs of the operation, as the tool was told them.
+    """
+
+    message: Mapping[str, object]
+    expected: object
+    told: Mapping[str, object] = field(default_factory=dict)
+
+    def read(self, form: str, rule: Mapping[str, object]) -> object:
+        """Return what a rule finds in the answer."""
+        output = OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in rule.items()})  # type: ignore[arg-type]
+        return extract({"x": output.about(self.told)}, read_answer(self.message, form)[0])["x"]
+
+    def fits(self, form: str, rule: Mapping[str, object]) -> bool:
+        """Tell whether a rule finds the value."""
+        return same_value(self.read(form, rule), self.expected)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,52 +84,77 @@ class Found:
     Attributes:
         form: ``structured``, ``json``, ``text`` or ``texts``.
         rule: table as a subject file has it below ``result``.
+        missed: the samples whose values are not there.
     """
 
     form: str
     rule: Mapping[str, object]
+    missed: tuple[Sample, ...] = ()
+
+    @property
+    def takes_everything(self) -> bool:
+        """The rule leaves nothing out, so that what it finds is what the adapter says, whatever that is."""
+        regex = self.rule.get("regex")
+        return self.rule.get("as") in (None, "literal", "json") and (regex is None or str(regex).endswith("(.*)$"))
 
 
-def find(
-    message: Mapping[str, object],
-    expected: object,
-    forms: Sequence[str] = FORMS,
-    *,
-    also: tuple[Mapping[str, object], object] | None = None,
-) -> Found | None:
-    """Find the place of ``expected`` (a value or a list of values); the rule has been tried on the answer.
+def find(samples: Sequence[Sample], forms: Sequence[str] = FORMS) -> Found | None:
+    """Find the place where the first sample's value is, and most of the others; each rule has been tried on every answer.
 
-    Args:
-        also: another answer, and what has to be found at the same place there.
+    It is no place where it has the value of one call alone: an answer may always say the same. A member that is called like what was
+    asked for is found by that name, never by the one that happened to be asked for.
     """
-    wanted = [(message, expected), *(() if also is None else (also,))]
+    first, others = samples[0], samples[1:]
+    elsewhere = [sample for sample in others if sample.told != first.told]
     for form in forms:
-        documents = [read_answer(answer, form)[0] for answer, _ in wanted]
-        if None in documents:
+        document = read_answer(first.message, form)[0]
+        if document is None:
             continue
-        for rule in _rules(documents[0], expected):
-            output = {"x": OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in rule.items()})}
-            found = [extract(output, document)["x"] for document in documents]
-            if all(map(_same, found, (value for _, value in wanted))):
-                return Found(form=form, rule=rule)
+        best: Found | None = None
+        for rule in _rules(document, first.expected, first.told):
+            if not first.fits(form, rule):
+                continue
+            missed = tuple(sample for sample in others if not sample.fits(form, rule))
+            holds = not elsewhere or any(sample not in missed for sample in elsewhere)
+            if holds and (best is None or len(missed) < len(best.missed)):
+                best = Found(form=form, rule=rule, missed=missed)
+        if best is not None:
+            return best
     return None
 
 
-def _same(found: object, expected: object) -> bool:
+def same_value(found: object, expected: object) -> bool:
+    """Tell whether what was found says a value: also as OPC 10000-6 has it in JSON, an integer of 64 bits as a text, a time in any form
+    of ISO 8601."""
     if isinstance(expected, list):
-        return isinstance(found, list) and len(found) == len(expected) and all(map(_same, found, expected))
+        return isinstance(found, list) and len(found) == len(expected) and all(map(same_value, found, expected))
     if isinstance(expected, bool) or isinstance(found, bool):
         return found is expected
     if isinstance(expected, float) and isinstance(found, int | float):
         return abs(found - expected) < 1e-9
+    if isinstance(expected, int) and abs(expected) > _EXACT and found == str(expected):
+        return True
+    if isinstance(expected, str) and isinstance(found, str) and found != expected:
+        one, other = _instant(found), _instant(expected)
+        return one is not None and other is not None and abs(one - other) < timedelta(milliseconds=1)
     return bool(found == expected)
 
 
-def _rules(document: object, expected: object) -> Iterator[dict[str, Any]]:
+def _instant(text: str) -> datetime | None:
+    if _DATE.match(text) is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
+
+
+def _rules(document: object, expected: object, told: Mapping[str, object]) -> Iterator[dict[str, Any]]:
     if isinstance(document, str):
         yield from _in_text(document, expected)
         return
-    for path, value in _places(document, ""):
+    for path, value in _places(document, "", told):
         yield {"path": path}
         if isinstance(expected, list):
             yield {"path": path, "wrap": True}
@@ -105,51 +166,100 @@ def _rules(document: object, expected: object) -> Iterator[dict[str, Any]]:
             except ValueError:
                 inner = None
             if isinstance(inner, dict | list):
-                yield from ({"path": path, "as": "json", "then": place} for place, _ in _places(inner, "") if place)
-            for rule in _in_text(value, expected):
-                yield {"path": path, **rule}
+                # Of a text that is JSON a pattern would find the right place by chance alone.
+                yield from (
+                    {"path": path, "as": "json", "then": place} for place, _ in _places(inner, "", told) if place
+                )
+                continue
+            yield from ({"path": path, **rule} for rule in _in_text(value, expected))
 
 
-def _places(value: object, path: str) -> Iterator[tuple[str, object]]:
-    """Yield the JMESPath of every value, also through all elements of a list of objects."""
+def _places(value: object, path: str, told: Mapping[str, object] | None = None) -> Iterator[tuple[str, object]]:
+    """Yield the JMESPath of every value, also through all elements of a list of objects.
+
+    Args:
+        told: inputs as the tool was told them: a member that is called like one of them is named as such.
+    """
     if path:
         yield path, value
+    asked = _asked(told or {})
     if isinstance(value, Mapping):
+        for name, listed in (told or {}).items():
+            if isinstance(listed, list) and listed and all(str(each) in value for each in listed):
+                step = f'{path}."${name}"' if path else f'"${name}"'
+                yield step, [value[str(each)] for each in listed]
+                yield from ((f"{step}[].{place}", None) for place, _ in _places(value[str(listed[0])], ""))
         for name, member in value.items():
-            step = name if _PLAIN.fullmatch(name) else json.dumps(name)
-            yield from _places(member, f"{path}.{step}" if path else step)
+            step = f'"${asked[name]}"' if name in asked else name if _PLAIN.fullmatch(name) else json.dumps(name)
+            yield from _places(member, f"{path}.{step}" if path else step, told)
     elif isinstance(value, list) and value:
         inner = value[0]
         if isinstance(inner, Mapping):
-            for place, _ in _places(inner, ""):
+            for place, _ in _places(inner, "", told):
                 yield f"{path}[].{place}", None
-            for place, member in _places(inner, ""):
+            for place, member in _places(inner, "", told):
                 yield f"{path}[0].{place}", member
         elif path == "":
             yield "[0]", inner
 
 
+def _asked(told: Mapping[str, object]) -> dict[str, str]:
+    """Return the names that members may have because of what was asked for, each with its input."""
+    return {str(value): name for name, value in told.items() if isinstance(value, int | str) and value != ""}
+
+
 def _in_text(text: str, expected: object) -> Iterator[dict[str, object]]:
+    """Yield rules for a value in a text: first those that take everything, whatever its type, and at last those for its own type."""
     if isinstance(expected, list):
         kind = _kind(expected[0]) if expected else "string"
+        yield {"as": "literal"}
+        if "[" in text:
+            for before in _before(text[: text.index("[")]):
+                yield {"regex": f"(?s){before}(.*)$", "as": "literal"}
         yield {"split": ",", "as": kind}
         yield {"regex": r"\[([^\]]*)\]", "split": ",", "as": kind}
-        yield {"regex": r":\s*([-\d.,\s]+)$", "split": ",", "as": kind}
+        # Of one element a tool may give the value itself in the place of a list.
+        yield {"regex": r"[\[:=]\s*([^\[\]:=]*?)\]?\s*$", "split": ",", "as": kind}
         yield {"as": "bytes"}
         return
     kind = _kind(expected)
-    yield {"as": kind}
+    yield {"as": "literal"}
+    if kind == "string":
+        yield {"as": "string"}
     shown = json.dumps(expected) if not isinstance(expected, str) else expected
     for written in dict.fromkeys((shown, str(expected))):
         position = text.find(written)
         if position < 0:
             continue
-        anchor = re.search(r"[A-Za-z_]+\W*$", text[max(0, position - 200) : position])
-        before = "" if anchor is None else re.escape(anchor[0]).replace(r"\ ", r"\s*")
-        pattern = {"int": r"(-?\d+)", "float": r"(-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)", "bool": r"(\w+)"}.get(
-            kind, r"([^\s,;]+)"
-        )
-        yield {"regex": before + pattern, "as": kind}
+        for before in _before(text[max(0, position - 200) : position]):
+            yield {"regex": f"(?s){before}(.*)$", "as": "literal"}
+            yield {"regex": f"{before}(.*)", "as": "literal"}
+            after = re.match(r"\s*[^\w\s]", text[position + len(written) :])
+            if after is not None:
+                yield {"regex": f"(?s){before}(.*?){_escaped(after[0])}", "as": "literal"}
+            yield {"regex": rf"{before}([^\s,;]+)", "as": "literal"}
+            if kind != "string":
+                yield {"regex": before + _NARROW[kind], "as": kind}
+
+
+_NARROW = {"int": r"(-?\d+)", "float": r"(-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)", "bool": r"(\w+)"}
+"""Patterns of one type alone: what they find of another one is not what the adapter said."""
+
+
+def _before(text: str) -> Iterator[str]:
+    """Yield patterns of what stands before a value: the last word and what follows it, or only the last sign.
+
+    The blanks are as many as there are, because a text may begin with some, and at last as many as there may be.
+    """
+    word = re.search(r"[A-Za-z_]+\W*$", text)
+    sign = re.search(r"[^\w\s]\s*$", text)
+    exact = ["" if word is None else _escaped(word[0]), *([] if sign is None else [f"^.*{_escaped(sign[0])}"])]
+    yield from exact
+    yield from (re.sub(" +", r"\\s*", before) for before in exact if " " in before)
+
+
+def _escaped(text: str) -> str:
+    return re.escape(text).replace(r"\ ", " ")
 
 
 def _kind(value: object) -> str:
@@ -158,19 +268,24 @@ def _kind(value: object) -> str:
     return {int: "int", float: "float"}.get(type(value), "string")
 
 
-def lists_in(message: Mapping[str, object], prefix: str) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
-    """Yield every list of texts in an answer with its form and its rule: as it is, without ``prefix``, without the first."""
+def lists_in(
+    message: Mapping[str, object], prefix: str, told: Mapping[str, object] | None = None
+) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
+    """Yield every list of texts in an answer with its form and its rule: as it is, without ``prefix``, without the first.
+
+    Args:
+        told: the inputs as the tool was told them.
+    """
     for form in ("structured", "json", "texts"):
         document = read_answer(message, form)[0]
         if document is None:
             continue
-        for path, _ in _places(document, ""):
+        for path, _ in _places(document, "", told):
             whole = {"path": path}, {"path": path, "strip": prefix}
             # A list of nodes may begin with the node that was asked for.
             rest = [{**rule, "path": path.replace("[]", "[1:]", 1)} for rule in whole if "[]" in path]
             for rule in (*whole, *rest):
-                output = OutputRule(path=rule["path"], strip=rule.get("strip"))
-                value = extract({"x": output}, document)["x"]
+                value = Sample(message=message, expected=None, told=told or {}).read(form, rule)
                 if isinstance(value, list) and value and all(isinstance(entry, str) for entry in value):
                     yield form, rule, value
 
@@ -220,6 +335,34 @@ def claims_success(message: Mapping[str, object]) -> bool:
     return all(interpret(message, Answering(form=form)).success for form in FORMS)
 
 
+def tells_failure(message: Mapping[str, object]) -> bool:
+    """Tell whether an answer says that the call failed, if only in the first word of its text."""
+    return not claims_success(message) or _FAILING_WORDS.match(read_answer(message, "text")[1]) is not None
+
+
+_BLOCKS = ("text", "image", "audio", "resource", "resource_link")
+"""Types of content blocks (MCP 2025-11-25, server/tools, "Tool Result")."""
+
+
+def no_result(message: Mapping[str, object]) -> str | None:
+    """Say why an answer is no valid result of a tool call; None for one that is."""
+    result = message.get("result")
+    if not isinstance(result, Mapping):
+        error = message.get("error")
+        told = error if isinstance(error, Mapping) else {"message": error}
+        return f"error {told.get('code')} instead of a result: {' '.join(str(told.get('message')).split())!r}"
+    content = result.get("content")
+    if not isinstance(content, list):
+        return "a result whose content is no list"
+    for block in content:
+        kind = block.get("type") if isinstance(block, Mapping) else None
+        if kind not in _BLOCKS:
+            return f"a content block of the type {kind!r}, which MCP does not know"
+        if kind == "text" and not isinstance(block.get("text"), str):
+            return "a text block without a text"
+    return None
+
+
 def turned_false(before: Mapping[str, object], after: Mapping[str, object]) -> Found | None:
     """Find the place in two answers that says yes in the first and no in the second, as a rule for a truth value."""
     for form in ("structured", "json"):
@@ -231,6 +374,13 @@ def turned_false(before: Mapping[str, object], after: Mapping[str, object]) -> F
             if extract({"is": OutputRule(path=path)}, document) == {"is": False}:
                 return Found(form=form, rule={"path": path})
     return None
+
+
+def beyond(*phrases: str) -> str:
+    """Return a pattern of texts that say by one of these phrases that a value is beyond its bounds, and not that an address is."""
+    said = "|".join((r"out of range", r"must be between", *phrases))
+    place = r"address|register|offset|start|index|count|quantity|size|db|block|tag|element"
+    return rf"(?is)^(?!.*\b({place})s?\b[^\n]{{0,40}}(out of range|must be between)).*({said})"
 
 
 def known_errors(patterns: Mapping[str, Sequence[str]], code: str, text: str) -> list[dict[str, str]]:

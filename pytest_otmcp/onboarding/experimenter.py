@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import random
 import time
+from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 from ..core.strict_json import parse_strict
 from ..plant.mock_device import MockDevice
+from ..protocols.exercise import Asked, Exercise
 from ..protocols.journal import judged
 from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
@@ -15,7 +18,7 @@ from ..subject.addressing import mentions_address
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding
 from ..trial.adapter_under_test import AdapterUnderTest, NoBindingError
-from .evidence import FORMS, Found, find
+from .evidence import Found, Sample, find, no_result, same_value, tells_failure
 from .guess import Guess
 from .proposal import Proposal, Shown
 
@@ -26,6 +29,12 @@ _TRIES = 4
 
 _LATE_S = 0.2
 """Seconds to wait for a late journal entry."""
+
+_ADDRESSES = 3
+"""Further addresses at which a binding is proven, where the protocol's exercise knows some."""
+
+_SHOWN, _SAID = 60, 600
+"""Characters that are shown of a value, and of an answer, which may have its reason at its end."""
 
 
 Another = tuple[Shown, object]
@@ -44,19 +53,30 @@ class Experimenter:
         device: the mock device.
         random: source of values that no adapter can know.
         longest_s: how long the longest call took that was answered.
+        results: number of answers that are valid results of tool calls.
+        invalid: what other answers were, and how often.
     """
 
-    def __init__(self, adapter: AdapterUnderTest, device: MockDevice, late: Mapping[str, object] | None = None) -> None:
+    def __init__(
+        self,
+        adapter: AdapterUnderTest,
+        device: MockDevice,
+        late: Mapping[str, object] | None = None,
+        samples: Callable[[random.Random], Sequence[Asked]] | None = None,
+    ) -> None:
         """Take an adapter that is configured for the device.
 
         Args:
-            late: a journal entry that may follow the answer to a call; see :class:`~pytest_otmcp.onboarding.pack.Pack`.
+            late, samples: see :class:`~pytest_otmcp.onboarding.pack.Pack`.
         """
         self.device = device
         self.random: random.Random = random.SystemRandom()
         self.longest_s = 0.0
+        self.results = 0
+        self.invalid: Counter[str] = Counter()
         self.adapter = adapter
         self._late = late
+        self._samples = samples
         self._read: list[tuple[Proposal, Experiment]] = []
         self._writing = False
 
@@ -89,9 +109,95 @@ class Experimenter:
         try:
             if self._writing:
                 await self._prove_session(guess)
-            return await experiment(self, guess)
+            proposal = await experiment(self, guess)
         except (_NotProvenError, NoBindingError) as problem:
             return Proposal(guess=guess, proven=False, evidence=[f"not tried, nothing was written: {problem}"])
+        self._refute(proposal)
+        if proposal.proven:
+            try:
+                await (self._write_further if self._writing else self._vary)(proposal)
+                await self._provoke(proposal)
+            except (_NotProvenError, NoBindingError) as problem:
+                proposal.caveats.append(f"nothing further was tried: {problem}")
+        return proposal
+
+    def _refute(self, proposal: Proposal) -> None:
+        """Take back the proof of a call that the device has seen, and whose answer is no answer to it."""
+        if not proposal.proven or (proposal.good is None and self._writing):
+            return
+        fault = None if proposal.good is None else no_result(proposal.good)
+        if fault is not None:
+            fault = f"the answer is no valid MCP: {fault}"
+        elif proposal.good is None:
+            fault = "there was no answer"
+        elif not self._writing and tells_failure(proposal.good):
+            fault = words_of(proposal.good)
+        if fault is not None:
+            proposal.proven = proposal.returned = False
+            proposal.outputs.clear()
+            proposal.evidence = [f"{proposal.evidence[0]}, but {fault}"]
+
+    async def _vary(self, proposal: Proposal) -> None:
+        """Read at further addresses, values of further types: what holds for one of them need not hold for all."""
+        failed: dict[str, list[str]] = {}
+        for asked in self._further(proposal.guess.operation):
+            for poke in asked.pokes:
+                await self.device.poke(**poke)
+            shown = await self.call(proposal.guess, proposal.offset, **asked.inputs)
+            if shown.message is None or no_result(shown.message) or tells_failure(shown.message):
+                failed.setdefault(shown.words, []).append(_about(shown.told))
+                if shown.message is None:
+                    # Each further call might take as long as this one.
+                    break
+                continue
+            for output, samples in proposal.samples.items():
+                if output in asked.outputs:
+                    expected = asked.outputs[output]
+                    samples.append(Sample(message=shown.message, expected=expected, told=shown.told))
+        for output in proposal.samples:
+            self._place(proposal, output, alone=bool(failed))
+        proposal.caveats += [f"with {'; '.join(places)}: {words}" for words, places in failed.items()]
+
+    async def _write_further(self, proposal: Proposal) -> None:
+        """Write to further targets, and values of further types; take the proof back where a tool says each time that it wrote, and never
+        did."""
+        exercise = protocols()[self.adapter.adapter.protocol].exercise
+        if exercise is None:
+            return
+        calls = [exercise.write(self.random), *(exercise.every_write(self.random) if exercise.every_write else ())]
+        done, claimed = 0, list[str]()
+        for asked in (asked for asked in calls if asked.operation == proposal.guess.operation):
+            for poke in asked.pokes:
+                await self.device.poke(**poke)
+            shown = await self.call(proposal.guess, proposal.offset, **asked.inputs)
+            if await self._was_done(exercise, asked, shown):
+                done += 1
+            elif shown.message is None or tells_failure(shown.message):
+                proposal.caveats.append(f"with {_about(shown.told)} the device was not told it; {shown.words}")
+                if shown.message is None:
+                    break
+            else:
+                claimed.append(f"with {_about(shown.told)} the device was not told it, although {shown.words}")
+        proposal.caveats += claimed
+        if claimed and not done:
+            proposal.proven = False
+            proposal.evidence.insert(0, f"{proposal.evidence[0]}, but {claimed[0]}")
+
+    async def _was_done(self, exercise: Exercise, asked: Asked, shown: Shown) -> bool:
+        if not asked.points:
+            return bool(exercise.done(shown.entries, asked))
+        points = (await self.device.image())["points"]
+        return all(same_value(points.get(name), value) for name, value in asked.points.items())
+
+    def _further(self, operation: str) -> list[Asked]:
+        """Return further calls of an operation whose good answers are known."""
+        exercise = protocols()[self.adapter.adapter.protocol].exercise
+        calls: list[Asked] = list(self._samples(self.random)) if self._samples is not None else []
+        if exercise is not None:
+            calls.append(exercise.read(self.random))
+            calls += exercise.distinct(self.random, _ADDRESSES) if exercise.distinct is not None else ()
+            calls += exercise.every_read(self.random) if exercise.every_read is not None else ()
+        return [asked for asked in calls if asked.operation == operation]
 
     async def _prove_session(self, guess: Guess) -> None:
         """Make sure, before a tool may write, that the session talks to the mock device: with new random values.
@@ -142,13 +248,39 @@ class Experimenter:
         if self._writing and not state_changing(entries):
             # Where did it go?
             adapter.cursor.withdraw_proof()
-        return Shown(message=message, entries=entries, words=failure if message is None else words_of(message))
+        return Shown(
+            message=message,
+            entries=entries,
+            words=failure if message is None else words_of(message),
+            told=self._binding(guess, offset).told(inputs),
+        )
 
     async def answer(
         self, guess: Guess, offset: Mapping[str, int], inputs: Mapping[str, object], *, writes: bool
     ) -> tuple[Mapping[str, object] | None, str]:
         """Call the guessed tool; return its answer, or None and why there is none."""
-        binding = Binding(
+        arguments = self._binding(guess, offset).fill(inputs, self.adapter.endpoint)
+        timeout_s = 1.2 * self.adapter.deadline_s
+        began = time.monotonic()
+        exchange = await self.adapter.call_tool(guess.tool, arguments, writes=writes, timeout_s=timeout_s)
+        if exchange.response is None:
+            return None, f"no answer ({exchange.failure})"
+        self.longest_s = max(self.longest_s, time.monotonic() - began)
+        try:
+            message = parse_strict(exchange.response)
+        except ValueError as error:
+            self.invalid[f"an answer that is no strict JSON ({error})"] += 1
+            return None, f"an answer that is no strict JSON ({error})"
+        fault = no_result(message)
+        if fault is None:
+            self.results += 1
+        else:
+            self.invalid[fault] += 1
+        return message, ""
+
+    @staticmethod
+    def _binding(guess: Guess, offset: Mapping[str, int]) -> Binding:
+        return Binding(
             tool=guess.tool,
             arguments=guess.arguments,
             outputs={},
@@ -158,17 +290,11 @@ class Experimenter:
             names={},
             convert=guess.convert,
         )
-        arguments = binding.fill(inputs, self.adapter.endpoint)
-        timeout_s = 1.2 * self.adapter.deadline_s
-        began = time.monotonic()
-        exchange = await self.adapter.call_tool(guess.tool, arguments, writes=writes, timeout_s=timeout_s)
-        if exchange.response is None:
-            return None, f"no answer ({exchange.failure})"
-        self.longest_s = max(self.longest_s, time.monotonic() - began)
-        try:
-            return parse_strict(exchange.response), ""
-        except ValueError as error:
-            return None, f"an answer that is no strict JSON ({error})"
+
+    @property
+    def never_valid(self) -> str | None:
+        """Why no answer at all was a valid result of a tool call; None where one was, or where there was no answer."""
+        return None if self.results or not self.invalid else self.invalid.most_common(1)[0][0]
 
     def propose(
         self,
@@ -188,17 +314,30 @@ class Experimenter:
             describe = protocols()[self.adapter.adapter.protocol].describe
             seen = "; ".join(dict.fromkeys(describe(entry) for entry in shown.entries if entry["request"]))
         evidence = [f"the device saw {seen}" if proven else f"the device saw {seen or 'nothing of it'}; {shown.words}"]
-        return Proposal(guess=guess, proven=proven, evidence=evidence, offset=dict(offset or {}), good=shown.message)
+        return Proposal(
+            guess=guess,
+            proven=proven,
+            evidence=evidence,
+            offset=dict(offset or {}),
+            good=shown.message,
+            told=shown.told,
+        )
 
-    async def provoke(self, proposal: Proposal, code: str, **inputs: object) -> None:
-        """Call the tool so that it has to fail, and keep the answer for the rules that recognise failures.
+    @staticmethod
+    def provoke(proposal: Proposal, code: str, **inputs: object) -> None:
+        """Have the tool called so that it has to fail, once everything else was tried: an adapter may break by it.
 
         Args:
             code: the error code that this failure should have.
         """
-        failing = await self.call(proposal.guess, proposal.offset, **inputs)
-        if failing.message is not None:
-            proposal.failures.append((code, failing.message))
+        proposal.provocations.append((code, inputs))
+
+    async def _provoke(self, proposal: Proposal) -> None:
+        """Make the calls that have to fail, and keep the answers for the rules that recognise failures."""
+        for code, inputs in proposal.provocations:
+            failing = await self.call(proposal.guess, proposal.offset, **inputs)
+            if failing.message is not None:
+                proposal.failures.append((code, failing.message))
 
     def locate(self, proposal: Proposal, output: str, expected: object, *, also: Another | None = None) -> None:
         """Look in the answer for a value that the device is known to have given.
@@ -206,14 +345,36 @@ class Experimenter:
         Args:
             also: what another call showed, and the value that has to be at the same place in its answer.
         """
-        found = _find(proposal, expected, also)
-        if found is None:
-            proposal.evidence.append(f"the value {str(expected)[:60]} was not found in the answer: fill in 'result'")
-            return
-        proposal.form = found.form
-        proposal.outputs[output] = found.rule
-        proposal.returned = True
-        proposal.evidence.append(f"the value {str(expected)[:60]} of the device was found there")
+        proposal.samples[output] = _samples(proposal, expected, also)
+        self._place(proposal, output)
+
+    def _place(self, proposal: Proposal, output: str, *, alone: bool = False) -> None:
+        """Say where an output is in the answers of which its value is known, or that it is not to be found there.
+
+        Args:
+            alone: there may be one sample because all further calls failed: then a rule for its type alone proves nothing.
+        """
+        samples = proposal.samples[output]
+        proposal.evidence[:] = [line for line in proposal.evidence if line not in proposal.placed]
+        proposal.outputs.pop(output, None)
+        proposal.caveats.clear()
+        found = find(samples) if samples else None
+        several = any(sample.told != samples[0].told for sample in samples)
+        if found is None or ((found.missed or (alone and not several)) and not found.takes_everything):
+            proposal.placed = [_not_placed(samples, found)]
+        else:
+            proposal.form = found.form
+            proposal.outputs[output] = found.rule
+            proposal.returned = True
+            proposal.placed = [f"the value {_shown(samples[0].expected)} of the device was found there"]
+            if several:
+                proposal.placed = [f"{len(samples) - len(found.missed)} values of the device were found there"]
+            proposal.caveats += [
+                f"with {_about(sample.told)} the device holds {_shown(sample.expected)}, and the answer says "
+                f"{_shown(sample.read(found.form, found.rule))}"
+                for sample in found.missed
+            ]
+        proposal.evidence += proposal.placed
 
     def locate_echo(self, proposal: Proposal, output: str, expected: object, *, also: Another | None = None) -> None:
         """Look for a value that an answer may repeat; a structure shows that it is this value, a sentence does not.
@@ -221,18 +382,54 @@ class Experimenter:
         Args:
             also: see :meth:`locate`.
         """
-        found = _find(proposal, expected, also, ("structured", "json"))
-        if found is not None and set(found.rule) == {"path"} and found.form == (proposal.form or found.form):
+        samples = _samples(proposal, expected, also)
+        found = find(samples, ("structured", "json")) if samples else None
+        if (
+            found is not None
+            and not found.missed
+            and {*found.rule} == {"path"}
+            and found.form == (proposal.form or found.form)
+        ):
             proposal.form = found.form
             proposal.outputs[output] = found.rule
 
 
-def _find(proposal: Proposal, expected: object, also: Another | None, forms: Sequence[str] = FORMS) -> Found | None:
-    """Return the place of a value in the answer to a call; None where there is none, or no answer."""
-    if proposal.good is None or (also is not None and also[0].message is None):
-        return None
-    another = None if also is None or also[0].message is None else (also[0].message, also[1])
-    return find(proposal.good, expected, forms, also=another)
+def _samples(proposal: Proposal, expected: object, also: Another | None) -> list[Sample]:
+    """Return the answers of which a value is known; none where one of them is missing."""
+    shown = [
+        (proposal.good, proposal.told, expected),
+        *(() if also is None else [(also[0].message, also[0].told, also[1])]),
+    ]
+    found = [
+        Sample(message=message, expected=value, told=told) for message, told, value in shown if message is not None
+    ]
+    return found if len(found) == len(shown) else []
+
+
+def _about(told: Mapping[str, object]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in told.items())
+
+
+def _shown(value: object) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]} ..."
+
+
+def _not_placed(samples: Sequence[Sample], found: Found | None) -> str:
+    """Say which values were not found where the others are, or that none was found."""
+    if found is None and len(samples) == 1:
+        return f"the value {_shown(samples[0].expected)} was not found in the answer: fill in 'result'"
+    if found is not None and not found.missed:
+        return (
+            f"the value {_shown(samples[0].expected)} was found with {_about(samples[0].told)} alone: fill in 'result'"
+        )
+    if found is None:
+        values = ", ".join(dict.fromkeys(_shown(sample.expected) for sample in samples)) or "of the device"
+        return f"no one place in the answers has the values {values}: fill in 'result'"
+    missed = "; ".join(
+        f"{_shown(sample.expected)}, with {_about(sample.told)}, {words_of(sample.message)}" for sample in found.missed
+    )
+    return f"what reads the value {_shown(samples[0].expected)} does not read {missed}: fill in 'result'"
 
 
 Experiment = Callable[[Experimenter, Guess], Awaitable[Proposal]]
@@ -242,4 +439,6 @@ Experiment = Callable[[Experimenter, Guess], Awaitable[Proposal]]
 def words_of(message: Mapping[str, object]) -> str:
     """Return how an answer began, and whether it is an error, in a few words."""
     _, text, is_error = read_answer(message, "text")
-    return f"it {'failed' if is_error else 'answered'}: {' '.join(text.split())[:160]!r}"
+    said = " ".join(text.split())
+    cut = "" if len(said) <= _SAID else f" ... ({len(said)} characters)"
+    return f"it {'failed' if is_error else 'answered'}: {said[:_SAID]!r}{cut}"

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from typing import Any
 
 from ..protocols.registry import protocols
+from ..subject.addressing import mentions_address
 from ..subject.model import placeholders
 from .guess import Guess
 from .input_schema import choice, kinds, properties, required, resolved
 from .pack import Hints, Pack
 
-__all__ = ["guess_connect", "guess_tools"]
+__all__ = ["guess_steps", "guess_tools", "registered"]
 
 _ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value"}
 """Inputs that operations of any protocol have, to the names that tools have for them; packs add their own inputs."""
@@ -31,8 +32,22 @@ _CONNECTIONS = ("tcp:{host}:{port}", "{host}:{port}", "tcp://{host}:{port}", "{u
 """Forms in which a required argument whose name matches ``_CONNECTION`` may expect the device's address."""
 
 
-_WRITES = frozenset("write writes set put publish send force toggle delete execute invoke actuate".split())
-"""Words in the names of tools that write."""
+_CHANGES = frozenset(
+    """write writes set put publish send force toggle delete remove erase clear purge flush execute invoke actuate operate
+    unsubscribe disconnect reconnect acknowledge ack patch insert upload deploy install reboot shutdown kill""".split()
+)
+"""Words in the names of tools that change something, wherever they stand."""
+
+_MAY_CHANGE = frozenset(
+    """add create update modify change rename register unregister start stop restart reset enable disable open close pause
+    resume cancel abort lock unlock activate deactivate configure import save load move turn press call trigger command run""".split()
+)
+"""Words that change something unless the name begins with a word of ``_READS``: ``get_start_time`` starts nothing."""
+
+_READS = frozenset(
+    "read get list browse is has show describe fetch query check find search enumerate count receive".split()
+)
+_JOINS = frozenset("and then or".split())
 
 _FOREIGN = re.compile(
     r"(?<![a-z0-9])(ethercat|sdo|pdo|profinet|canopen|knx|iec104"
@@ -43,29 +58,116 @@ _FOREIGN = re.compile(
 """Names of protocols that the kit does not know, in the names and descriptions of tools."""
 
 
-def guess_tools(pack: Pack, operation: str, tools: Mapping[str, Mapping[str, object]]) -> list[Guess]:
-    """Guess the tools that may perform the operation, likeliest first."""
-    found = [guess for name, tool in tools.items() if (guess := _guess(pack, operation, name, tool)) is not None]
+def guess_tools(
+    pack: Pack, operation: str, tools: Mapping[str, Mapping[str, object]], names: Mapping[str, str] | None = None
+) -> list[Guess]:
+    """Guess the tools that may perform the operation, likeliest first.
+
+    Args:
+        names: arguments that name a device which was registered, each with the name.
+    """
+    found = [
+        guess for name, tool in tools.items() if (guess := _guess(pack, operation, name, tool, names or {})) is not None
+    ]
     return sorted(found, key=lambda guess: (-guess.score, guess.tool))
 
 
-def guess_connect(tools: Mapping[str, Mapping[str, object]]) -> Guess | None:
-    """Guess the tool that has to be called before all others, by its name and its arguments."""
-    for name, tool in tools.items():
-        words = _words(name)
-        if "connect" in words and not words & {"disconnect", "status", "info", "list"}:
-            known = properties(resolved(tool, None))
-            arguments = {key: value for key in known if (value := _endpoint(key, known[key])) is not None}
-            if arguments:
-                return Guess(
-                    operation="connect", tool=name, score=1.0, arguments=arguments, convert={}, missing=(), trials={}
-                )
-    return None
+def guess_steps(pack: Pack, tools: Mapping[str, Mapping[str, object]]) -> list[Guess]:
+    """Guess the tools that may have to be called before all others, because they are told where the device is; likeliest first.
+
+    A tool that registers a device under a name is only one where another tool has to be told that name.
+    """
+    found = [guess for name, tool in tools.items() if (guess := _step(pack, name, tool)) is not None]
+    wanted = {name: {*required(resolved(tool, None))} for name, tool in tools.items()}
+    used = [
+        guess
+        for guess in found
+        if guess.score > _REGISTERING
+        or any(not keys.isdisjoint(registered(guess)) for name, keys in wanted.items() if name != guess.tool)
+    ]
+    return sorted(used, key=lambda guess: -guess.score)
+
+
+def registered(step: Guess | None) -> dict[str, str]:
+    """Return the arguments of other tools that may name what a step has registered, each with that name."""
+    given = {} if step is None else {key: value for key, value in step.arguments.items() if value == _REGISTERED}
+    # What is called a name where it is registered is called an id, or the device, where it is used.
+    return dict.fromkeys((*given, *(_NAMES if given else ())), _REGISTERED)
+
+
+_CONNECTING, _OPENING, _REGISTERING = 3.0, 2.0, 1.0
+_NO_STEP = frozenset("disconnect reconnect status info list get remove delete close test check".split())
+_DEVICES = frozenset(
+    "device devices plc controller server endpoint broker connection session target gateway client".split()
+)
+_OPENS = frozenset("open establish start create".split())
+_REGISTERS = frozenset("add register define configure create".split())
+_REGISTERED = "otmcp"
+"""The name under which a device is registered."""
+_THINGS = ("device", "plc", "connection", "conn", "server", "controller", "client", "target")
+_NAMES = ("name", "id", "alias", "label", *(f"{thing}{end}" for thing in _THINGS for end in ("_id", "_name", "")))
+
+_PLACES: tuple[tuple[str, tuple[str, ...]], ...] = (
+    (r"^(\w+_)?port$", ("{port:int}",)),
+    (r"^(\w+_)?(url|uri|endpoint)$", ("{url}",)),
+    (r"^(\w+_)?(host|hostname|ip|ip_?addr(ess)?|address|addr)$", ("{host}", "{host}:{port}", "{url}")),
+)
+"""Patterns of arguments that tell a step where the device is, to the values they may mean: the first where the port is told beside it."""
+
+
+def _step(pack: Pack, name: str, tool: Mapping[str, Any]) -> Guess | None:
+    score = _steps(_words(name))
+    if not score or _is_foreign(pack.protocol, name, tool):
+        return None
+    schema = resolved(tool, None)
+    known, needed = properties(schema), required(schema)
+    ported = any(re.search(r"(^|_)port$", key, re.IGNORECASE) for key in known)
+    arguments: dict[str, object] = {}
+    trials: dict[str, tuple[str, ...]] = {}
+    for key, described in known.items():
+        places = next((values for pattern, values in _PLACES if re.match(pattern, key, re.IGNORECASE)), ())
+        protocol, constant = _named_protocol(pack, described), _constant(pack, key)
+        if places and (len(places) == 1 or ported):
+            arguments[key] = "{port}" if places[0] == "{port:int}" and kinds(described) == {"string"} else places[0]
+        elif places:
+            trials[key] = places[1:] + places[:1]
+        elif protocol is not None or constant is not None:
+            arguments[key] = constant if protocol is None else protocol
+        elif key in needed and key.lower() in _NAMES:
+            arguments[key] = _REGISTERED
+    if not trials and not any(map(mentions_address, arguments.values())):
+        return None
+    missing = tuple(key for key in needed if key not in arguments and key not in trials)
+    return Guess(
+        operation="connect", tool=name, score=score, arguments=arguments, convert={}, missing=missing, trials=trials
+    )
+
+
+def _steps(words: set[str]) -> float:
+    """Return how likely a tool of such a name is a step; 0 for one that is none."""
+    if words & _NO_STEP:
+        return 0.0
+    if "connect" in words:
+        return _CONNECTING
+    if words & _OPENS and words & {"connection", "session"}:
+        return _OPENING
+    return _REGISTERING if words & _REGISTERS and words & _DEVICES else 0.0
+
+
+def _named_protocol(pack: Pack, described: Mapping[str, Any]) -> str | None:
+    """Return the choice of an enumerated argument that is the protocol."""
+    return choice(
+        described, re.compile(rf"^({'|'.join(map(re.escape, (pack.protocol, *pack.names)))})$", re.IGNORECASE)
+    )
+
+
+def _in_order(name: str) -> list[str]:
+    parts = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()
+    return re.split(r"[^a-z0-9]+", parts)
 
 
 def _words(name: str) -> set[str]:
-    parts = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()
-    return set(re.split(r"[^a-z0-9]+", parts))
+    return set(_in_order(name))
 
 
 def _is_foreign(protocol: str, name: str, tool: Mapping[str, Any]) -> bool:
@@ -83,25 +185,41 @@ def _is_foreign(protocol: str, name: str, tool: Mapping[str, Any]) -> bool:
     return False
 
 
-def _may_write(words: set[str], tool: Mapping[str, Any]) -> bool:
-    """Tell whether a tool may write, by its name and by what it says of itself: it is not tried for reading."""
-    return not words.isdisjoint(_WRITES) or (tool.get("annotations") or {}).get("destructiveHint") is True
+def _may_change(name: str, tool: Mapping[str, Any], own: Set[str]) -> bool:
+    """Tell whether a tool may change something, by its name and by what it says of itself: it is not tried for reading.
+
+    Args:
+        own: words that say what the operation itself does, such as to subscribe.
+    """
+    words = _in_order(name)
+    doubtful = _CHANGES if _only_reads(words) else _CHANGES | _MAY_CHANGE
+    return bool(({*words} & doubtful) - own) or (tool.get("annotations") or {}).get("destructiveHint") is True
 
 
-def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Guess | None:
+def _only_reads(words: Sequence[str]) -> bool:
+    """Tell whether the first word that can be a verb says that the tool reads, and no other is joined to it."""
+    first = next((word for word in words if word in _READS | _CHANGES | _MAY_CHANGE), None)
+    return first in _READS and _JOINS.isdisjoint(words)
+
+
+def _guess(
+    pack: Pack, operation: str, name: str, tool: Mapping[str, Any], registered_as: Mapping[str, str]
+) -> Guess | None:
     asked, hints = protocols()[pack.protocol].operations[operation], pack.operations[operation]
     words, likely = _words(name), set(hints.likely.split())
     if hints.needed and not words & set(hints.needed.split()):
         return None
     if hints.named is not None and hints.named.fullmatch(name) is None:
         return None
-    if _is_foreign(pack.protocol, name, tool) or (not asked.writes and _may_write(words, tool)):
+    if _is_foreign(pack.protocol, name, tool) or (not asked.writes and _may_change(name, tool, likely)):
         return None
     schema = resolved(tool, hints.choice)
     names = {**_ARGUMENTS, **pack.arguments}
     inputs = {name: tuple(names[name].split()) for name in asked.inputs if name in names}
     arguments, optional, convert = _arguments(pack, hints, inputs, schema)
     placed = placeholders(arguments)
+    needed = required(schema)
+    arguments |= {key: registered_as[key] for key in needed if key in registered_as and key not in arguments}
     trials = {
         argument: values
         for argument in required(schema)

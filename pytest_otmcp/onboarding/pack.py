@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import random
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 
 from ..core.errors import UsageError
+from ..protocols.exercise import Asked
 from ..protocols.registry import protocols
 from .experimenter import Experiment
 from .known_causes import KnownCause
@@ -50,6 +52,7 @@ class Pack:
         constants: pattern of an argument's name, to the value that the mock device wants there.
         names: names of the protocol that an argument may expect.
         late: a journal entry that may follow the answer to a call, as members and values; None when none does.
+        samples: makes reads that prove a binding, beside those of the protocol's exercise; None where these are all.
         errors: error code to patterns of the texts in which libraries report it.
         causes: known causes in this protocol's libraries why an adapter does not start.
     """
@@ -61,6 +64,7 @@ class Pack:
     constants: Mapping[str, object] = field(default_factory=dict)
     names: tuple[str, ...] = ()
     late: Mapping[str, object] | None = None
+    samples: Callable[[random.Random], Sequence[Asked]] | None = None
     errors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     causes: tuple[KnownCause, ...] = ()
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..protocols.journal import JournalEntry
+from .evidence import Sample
 from .guess import Guess
 
 __all__ = ["Proposal", "Shown", "by_name"]
@@ -22,6 +23,11 @@ class Proposal:
         form: where the answer's document is: ``structured``, ``json``, ``text`` or ``texts``.
         outputs: output to its rule.
         good: the answer to a call that succeeded.
+        told: the inputs of that call, as the tool was told them.
+        samples: output to the answers in which its value is known, that one first.
+        placed: the sentences of the evidence that say where the values are.
+        caveats: sentences on further calls that proved nothing, because they failed or had another result.
+        provocations: calls that have to fail, each with the error code of the failure, and its inputs.
         failures: answers to calls that had to fail, each with the error code that it should have.
         blocking: the call waits for what it answers.
         returned: a random value came from the mock device through the tool, or to it.
@@ -36,6 +42,11 @@ class Proposal:
     form: str | None = None
     outputs: dict[str, Mapping[str, object]] = field(default_factory=dict)
     good: Mapping[str, object] | None = None
+    told: Mapping[str, object] = field(default_factory=dict)
+    samples: dict[str, list[Sample]] = field(default_factory=dict)
+    placed: list[str] = field(default_factory=list)
+    caveats: list[str] = field(default_factory=list)
+    provocations: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
     failures: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
     blocking: bool = False
     returned: bool = False
@@ -58,8 +69,10 @@ class Shown:
         message: the answer; None when there is none.
         entries: journal entries that the device wrote during the call.
         words: the answer, or why there is none, in a few words.
+        told: the inputs as the tool was told them.
     """
 
     message: Mapping[str, object] | None
     entries: Sequence[JournalEntry]
     words: str
+    told: Mapping[str, object] = field(default_factory=dict)

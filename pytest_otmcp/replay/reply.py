@@ -99,7 +99,7 @@ def recorded_reply(
         operation=call["operation"],
         deadline_s=deadline_s,
         answering=Answering(form="text") if binding is None else binding.answering,
-        outputs={} if binding is None else binding.outputs,
+        outputs={} if binding is None else binding.outputs_for(inputs),
         # Only the read-only variant may do without a tool.
         # Of its own tools a variant that may write lists each; of another tool that the steps name the record says it.
         listed=call["listed"] or (call["variant"] == READ_WRITE and (altered is None or altered.tool is None)),

@@ -252,6 +252,25 @@ def _output(rule: OutputRule, document: object) -> Any:
     return value if rule.then is None else _search(rule.then, value)
 
 
+_PYTHON_LITERAL = re.compile(r"[\[{'\"]|(True|False|None)$")
+"""Beginnings of what Python alone writes in another way than JSON does; ``0x10``, ``1_000`` and ``1, 2`` are texts to everybody else."""
+
+
+def _literal(text: str) -> Any:
+    """Return the value that a text is a literal of, in JSON or in Python; what is none is the text itself."""
+    bare = text.strip()
+    try:
+        return _from_json(bare)
+    except ValueError:
+        pass
+    if _PYTHON_LITERAL.match(bare):
+        try:
+            return _plain(ast.literal_eval(bare))
+        except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
+            pass
+    return text
+
+
 def _converted(rule: OutputRule, value: Any) -> Any:
     if rule.strip is not None and isinstance(value, str):
         value = value.removeprefix(rule.strip)
@@ -273,6 +292,8 @@ def _converted(rule: OutputRule, value: Any) -> Any:
             return _from_json(value)
         case "python":
             return ast.literal_eval(value)
+        case "literal":
+            return _literal(value) if isinstance(value, str) else value
         case "hex":
             return int(value, 16)
         case "bytes":

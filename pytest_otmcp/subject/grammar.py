@@ -117,16 +117,18 @@ _ERROR_RULE = Table(
 _ERRORS = Named("errors", ListOf(_ERROR_RULE, "a list of rules"))
 OUTPUT_TABLE = Table(
     {
-        "path": Key(PATH, "JMESPath over the document."),
+        "path": Key(
+            PATH, 'JMESPath over the document; "$name" is the member that is called like the input of that name.'
+        ),
         "regex": Key(REGEX, "First group, or whole match, of a regular expression in what was found."),
         "split": Key(TEXT, "Separator that makes a list of it."),
         "wrap": Key(FLAG, "A single value becomes a list of one.", default=False),
         "strip": Key(TEXT, "Prefix that is taken off; of a list, off each element."),
         "as": Key(
-            OneOf(("int", "float", "bool", "string", "hex", "bytes", "json", "python")),
-            "The type of the value; of a list, of each element.",
+            OneOf(("int", "float", "bool", "string", "hex", "bytes", "json", "python", "literal")),
+            "The type of the value; of a list, of each element. 'literal' is a literal if it is one, else the text.",
         ),
-        "then": Key(PATH, "JMESPath over what 'as' made."),
+        "then": Key(PATH, "JMESPath over what 'as' made, with the same names."),
     }
 )
 _OUTPUT = Named("output", ByType(str, PATH, OUTPUT_TABLE))

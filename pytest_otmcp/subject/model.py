@@ -86,13 +86,14 @@ class OutputRule:
     """The place of an output in an answer's document; the attributes are applied in this order.
 
     Attributes:
-        path: JMESPath over the document; None for the document itself.
+        path: JMESPath over the document; None for the document itself. A quoted ``"$name"`` is the member that is called like
+            the operation's input of that name, as the tool was told it; for an input that is a list, the list of these members.
         regex: searched in the text found so far; its first group (or the whole match) is the value.
         split: separator that cuts the text into a list.
         strip: prefix that is taken off, as ``2:`` off a browse name.
-        convert: ``int``, ``float``, ``bool``, ``string``, ``json``, ``python``, ``hex`` or ``bytes``; for a list, of each
-            element.
-        then: JMESPath over the result of ``convert``.
+        convert: ``int``, ``float``, ``bool``, ``string``, ``json``, ``python``, ``literal``, ``hex`` or ``bytes``; for a list, of
+            each element.
+        then: JMESPath over the result of ``convert``, with the same names.
         wrap: a single value becomes a list of one.
     """
 
@@ -103,6 +104,28 @@ class OutputRule:
     convert: str | None = None
     then: str | None = None
     wrap: bool = False
+
+    def about(self, told: Mapping[str, object]) -> OutputRule:
+        """Return the rule for a call of which the tool was told these inputs."""
+        if '"$' not in f"{self.path}{self.then}":
+            return self
+
+        def named(path: str | None) -> str | None:
+            return None if path is None else _ASKED_MEMBER.sub(lambda match: _member(match, told), path)
+
+        return replace(self, path=named(self.path), then=named(self.then))
+
+
+_ASKED_MEMBER = re.compile(r'"\$(\w+)"')
+
+
+def _member(match: re.Match[str], told: Mapping[str, object]) -> str:
+    """Return the part of a JMESPath that selects what is called like an input; a name that is no input's is a key like any other."""
+    if match[1] not in told:
+        return match[0]
+    value = told[match[1]]
+    names = [json.dumps(_text(each), ensure_ascii=False) for each in (value if isinstance(value, list) else [value])]
+    return f"[{', '.join(names)}]" if isinstance(value, list) else names[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,10 +208,19 @@ class Binding:
 
     def fill(self, inputs: Mapping[str, object], endpoint: Mapping[str, str]) -> dict[str, Any]:
         """Return the tool's arguments for these inputs; the argument for an input that is not given is left out."""
-        prepared = {name: self._prepared(name, value) for name, value in inputs.items()}
+        prepared = self.told(inputs)
         template = _without(self.arguments, placeholders(self.arguments) - prepared.keys())
         filled: dict[str, Any] = replace_template(template, prepared, endpoint)
         return filled
+
+    def told(self, inputs: Mapping[str, object]) -> dict[str, Any]:
+        """Return these inputs as the tool is told them: with its names, addresses and types."""
+        return {name: self._prepared(name, value) for name, value in inputs.items()}
+
+    def outputs_for(self, inputs: Mapping[str, object]) -> Mapping[str, OutputRule]:
+        """Return where the outputs are in the answer to a call with these inputs."""
+        told = self.told(inputs)
+        return {name: rule.about(told) for name, rule in self.outputs.items()}
 
     def _prepared(self, name: str, value: Any) -> Any:
         if isinstance(value, list) and name in self.names:

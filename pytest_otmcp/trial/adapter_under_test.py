@@ -416,7 +416,7 @@ class AdapterUnderTest:
         failure = await self.connect()
         if failure is not None:
             tool = self.adapter.connect.tool if self.adapter.connect is not None else ""
-            raise SubjectError("connect_step", f"the connect step {tool!r} failed: {failure[:400]}")
+            raise SubjectError("connect_step", f"the connect step {tool!r} failed: {failure[:2000]}")
 
     async def connect(self) -> str | None:
         """Perform the subject's connect step, if it has one; returns the words of its failure, or None."""
@@ -536,7 +536,7 @@ class AdapterUnderTest:
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
         if altered is not None and altered.tool is not None:
             listed = altered.tool in session.tools
-        expected = self._expectation(operation, binding.answering, binding.outputs, listed=listed)
+        expected = self._expectation(operation, binding.answering, binding.outputs_for(inputs), listed=listed)
         if not binding.answering.native:
             self._note_unmet(exchange)
         return observe(exchange, expected)

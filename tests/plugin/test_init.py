@@ -138,6 +138,10 @@ def test_a_prose_adapter_is_described_by_what_the_device_saw(
         json.loads(Path(first.removeprefix("#:schema ")).read_text(encoding="utf-8"))["$id"] == "urn:otmcp:subject-file"
     )
     assert "the version of your product" in done.stdout
+    assert adapter.unclaimed == {
+        "guard": "otmcp init does not know how writes are disabled",
+        "ping": "otmcp init found no tool for it",
+    }
 
 
 QUICK = ("modbus", "mqtt", "opcua", "profibus")

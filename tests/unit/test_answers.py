@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.subject.answers import UNCLASSIFIED, extract, interpret, read_answer, synthesised
-from pytest_otmcp.subject.model import Answering, ErrorRule, OutcomeRule, OutputRule
+from pytest_otmcp.subject.model import Answering, Binding, ErrorRule, OutcomeRule, OutputRule
 
 
 def result(*texts: str, structured: Any = None, is_error: bool | None = None) -> dict[str, Any]:
@@ -73,6 +73,57 @@ def test_an_output_is_found_where_its_rule_says(
     found = output(message, form, rule)
     assert found == expected
     assert json.dumps(found) == json.dumps(expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("25.0", 25.0), ("-7", -7), ("9007199254740993", 9007199254740993), ("1e+16", 1e16), ("true", True), ("False", False),
+        ("None", None), ("null", None), ("[1, -2]", [1, -2]), ("['a', True]", ["a", True]), ('{"a": 1}', {"a": 1}),
+        (" 7\n", 7), ("tank empty", "tank empty"), (" tank ", " tank "), ("2026-11-22 12:00:00", "2026-11-22 12:00:00"),
+        ("NaN", "NaN"), ("nan", "nan"), ("0x10", "0x10"), ("1_000", "1_000"), ("1, 2", "1, 2"), ("{1, 2}", "{1, 2}"), ("", ""),
+        ("[" * 100_000, "[" * 100_000), ("b'a'", "b'a'"),
+    ],
+)  # fmt: skip
+def test_a_literal_is_its_value_and_every_other_text_is_itself(text: str, expected: Any) -> None:
+    found = output(result(text), "text", OutputRule(convert="literal"))
+    assert found == expected
+    assert type(found) is type(expected)
+
+
+def test_a_literal_in_a_list_is_read_and_what_is_no_text_stays() -> None:
+    rule = OutputRule(path="values", convert="literal")
+    assert output(result(structured={"values": ["1", "a", 2.5, None]}), "structured", rule) == [1, "a", 2.5, None]
+
+
+def bound(rule: OutputRule, **members: Any) -> Binding:
+    plain: dict[str, Any] = {"when": {}, "offset": {}, "names": {}, "convert": {}}
+    return Binding(tool="t", arguments={}, outputs={"x": rule}, answering=Answering(), **{**plain, **members})
+
+
+@pytest.mark.parametrize(
+    ("path", "members", "inputs", "expected"),
+    [
+        ('values."$node"', {}, {"node": 'a"b;s=T'}, 1),
+        ('values."$node"', {"names": {"node": {"a": "b"}}}, {"node": "a"}, 3),
+        ('values."$address"', {"offset": {"address": 40001}}, {"address": 9}, 4),
+        ('values."$nodes"', {}, {"nodes": ["b", 'a"b;s=T', "no"]}, [3, 1, None]),
+        ('deep."$nodes"[].value', {}, {"nodes": ["b", "a"]}, [6, 5]),
+        ('"$type"', {}, {"node": "a"}, "x"),
+        ('values."$node"', {}, {"node": "missing"}, None),
+    ],
+    ids=["quoted", "a vendor's name", "an offset", "a list", "deep", "no input", "not there"],
+)
+def test_a_member_that_is_called_like_an_input_is_found(
+    path: str, members: dict[str, Any], inputs: dict[str, Any], expected: Any
+) -> None:
+    document = {
+        "values": {'a"b;s=T': 1, "a": 2, "b": 3, "40010": 4},
+        "deep": {"a": {"value": 5}, "b": {"value": 6}},
+        "$type": "x",
+    }
+    rules = bound(OutputRule(path=path), **members).outputs_for(inputs)
+    assert extract(rules, document) == {"x": expected}
 
 
 FAILED_TEXT = Answering(form="text", outcome=(OutcomeRule(success=False, text="^(Error|Failed)"),))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,21 +11,24 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.core.errors import UsageError
-from pytest_otmcp.onboarding.document import Draft, write_document
+from pytest_otmcp.onboarding.document import Draft, switches_in, write_document
 from pytest_otmcp.onboarding.evidence import (
     CONNECT_FAILED,
     CONNECTION_LOST,
+    Sample,
     failure_rules,
     find,
     known_errors,
     lists_in,
+    no_result,
+    same_value,
     turned_false,
 )
 from pytest_otmcp.onboarding.guess import Guess
 from pytest_otmcp.onboarding.known_causes import find_advice
-from pytest_otmcp.onboarding.matching import guess_connect, guess_tools
+from pytest_otmcp.onboarding.matching import guess_steps, guess_tools, registered
 from pytest_otmcp.onboarding.pack import load_pack
-from pytest_otmcp.onboarding.proposal import by_name
+from pytest_otmcp.onboarding.proposal import Proposal, by_name
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject.answers import extract, read_answer
 from pytest_otmcp.subject.model import OutputRule
@@ -167,9 +171,81 @@ def test_a_connect_step_is_recognised() -> None:
         "mqtt_disconnect": tool(),
         "mqtt_connect": tool(broker_host={"type": "string"}, broker_port={"type": "integer"}),
     }
-    step = guess_connect(tools)
-    assert step is not None
+    (step,) = guess_steps(load_pack("mqtt"), tools)
     assert (step.tool, step.arguments) == ("mqtt_connect", {"broker_host": "{host}", "broker_port": "{port:int}"})
+
+
+def texts(names: str) -> dict[str, Any]:
+    return {name: {"type": "string"} for name in names.split()}
+
+
+@pytest.mark.parametrize(
+    ("protocol", "name", "listing", "arguments", "trials"),
+    [
+        (
+            "s7",
+            "connect_plc",
+            tool("address rack slot tcp_port", **texts("address")),
+            {"address": "{host}", "rack": 0, "slot": 1, "tcp_port": "{port:int}"},
+            {},
+        ),
+        (
+            "modbus",
+            "connect_device",
+            tool("target_ip", "unit_id", **texts("target_ip")),
+            {"unit_id": 1},
+            {"target_ip": ("{host}:{port}", "{url}", "{host}")},
+        ),
+        ("opcua", "open_session", tool("server_url", **texts("server_url")), {"server_url": "{url}"}, {}),
+        (
+            "modbus",
+            "add_device",
+            tool("name host port type", **texts("name host"), type={"enum": ["bacnet", "modbus-tcp"]}),
+            {"name": "otmcp", "host": "{host}", "port": "{port:int}", "type": "modbus-tcp"},
+            {},
+        ),
+    ],
+)
+def test_a_step_is_told_the_device_by_whatever_name(
+    protocol: str, name: str, listing: dict[str, Any], arguments: dict[str, Any], trials: dict[str, Any]
+) -> None:
+    tools = {name: listing, "read_holding_registers": tool("device_id address count", **texts("device_id"))}
+    (step,) = guess_steps(load_pack(protocol), tools)
+    assert (step.tool, step.arguments, step.trials, step.missing) == (name, arguments, trials, ())
+
+
+def test_a_step_that_needs_what_nobody_knows_says_so() -> None:
+    (step,) = guess_steps(load_pack("s7"), {"connect_plc": tool("address licence port", **texts("address licence"))})
+    assert step.missing == ("licence",)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("connect", ""),
+        ("connection_status", "host port"),
+        ("disconnect", "host port"),
+        ("list_connections", "host"),
+        ("remove_device", "name host"),
+        ("opcua_connect", "host port"),
+        ("add_note", "name host"),
+    ],
+)
+def test_what_is_not_told_where_the_device_is_or_does_something_else_is_no_step(name: str, arguments: str) -> None:
+    tools = {name: tool(arguments), "read_holding_registers": tool("name address count")}
+    assert guess_steps(load_pack("modbus"), tools) == []
+
+
+def test_a_device_is_only_registered_where_another_tool_is_told_its_name() -> None:
+    add = tool("name host port", **texts("name host"))
+    pack = load_pack("modbus")
+    assert guess_steps(pack, {"add_device": add, "read_holding_registers": tool("address count")}) == []
+    reading = tool("device_id address count", **texts("device_id"))
+    (step,) = guess_steps(pack, {"add_device": add, "read_holding_registers": reading})
+    (guess,) = guess_tools(pack, "read_holding", {"read_holding_registers": reading}, registered(step))
+    assert guess.arguments == {"device_id": "otmcp", "address": "$address", "count": "$count"}
+    assert guess.missing == ()
+    assert registered(None) == {}
 
 
 def answer(text: str, structured: Any = None) -> dict[str, Any]:
@@ -213,14 +289,144 @@ def blocks(*texts: str) -> dict[str, Any]:
     ],
 )
 def test_a_known_value_is_found_and_its_rule_finds_it_again(message: Mapping[str, Any], expected: Any) -> None:
-    found = find(message, expected)
+    found = find([Sample(message=message, expected=expected)])
     assert found is not None
     rule = OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in found.rule.items()})
     assert extract({"x": rule}, read_answer(message, found.form)[0]) == {"x": expected}
 
 
+def sample(message: Mapping[str, Any], expected: Any, **told: Any) -> Sample:
+    return Sample(message=message, expected=expected, told=told)
+
+
+def prose(node: str, value: object, *, after: str = "") -> Mapping[str, Any]:
+    return answer(f"Node {node} value: {value}{after}")
+
+
+SENTENCES = [(41.25, "41.25"), (-3, "-3"), (True, "True"), ([1, -2], "[1, -2]"), (" two, words ", " two, words ")]
+"""Values, and how Python prints them."""
+
+
+@pytest.mark.parametrize(
+    ("samples", "rule"),
+    [
+        (
+            [sample(answer("x", {"values": {node: value}}), value, node=node) for node, value in (("a", 1.5), ("b", 2.5))],
+            {"path": 'values."$node"'},
+        ),
+        (
+            [
+                sample(answer("x", {one: {"v": 1}, other: {"v": 2}}), [1, 2], nodes=[one, other])
+                for one, other in (("a", "b"), ("d", "c"))
+            ],
+            {"path": '"$nodes"[].v'},
+        ),
+        (
+            [sample(answer("x", {"result": json.dumps({"v": {node: 7}})}), 7, node=node) for node in ("a", "b")],
+            {"path": "result", "as": "json", "then": 'v."$node"'},
+        ),
+        (
+            [sample(prose("n", said), value, node=said) for value, said in SENTENCES],
+            {"regex": r"(?s)value: (.*)$", "as": "literal"},
+        ),
+        (
+            [sample(prose("n", said, after=" (Good)"), value, node=said) for value, said in SENTENCES],
+            {"regex": r"(?s)value: (.*?) \(", "as": "literal"},
+        ),
+        (
+            [sample(answer(f"ns=2;s={name} = {value}"), value, node=name) for name, value in (("a", 1.5), ("b", 2.5))],
+            {"regex": r"(?s)^.*= (.*)$", "as": "literal"},
+        ),
+        (
+            [sample(answer("x", {"v": value}), value, node=said) for value, said in SENTENCES],
+            {"path": "v"},
+        ),
+        ([sample(answer(f"the value of {node} is {value}"), value, node=node) for node, value in (("a", 1), ("b", 2))], {"regex": r"(?s)is (.*)$", "as": "literal"}),
+        (
+            [sample(answer(f"value:{value:>10}"), value, node=node) for node, value in (("a", 1.5), ("b", 12.25))],
+            {"regex": r"(?s)value:\s*(.*)$", "as": "literal"},
+        ),
+        (
+            [sample(answer(f"Holding registers: {said}"), values) for values, said in (([1, -2], "[1, -2]"), ([7], "7"))],
+            {"regex": r"[\[:=]\s*([^\[\]:=]*?)\]?\s*$", "split": ",", "as": "int"},
+        ),
+        ([sample(answer("value: 1.5"), 1.5, node="a"), sample(answer("value: 1.5"), 2.5, node="b")], None),
+    ],
+    ids=["member", "members", "in a text", "prose", "with a quality", "after the name", "typed", "sentence", "in a column", "one alone", "always the same"],
+)  # fmt: skip
+def test_a_place_is_right_for_every_answer(samples: list[Sample], rule: Mapping[str, object] | None) -> None:
+    found = find(samples, ("structured", "text"))
+    assert (None if found is None else found.rule) == rule
+    assert found is None or not found.missed
+
+
+def test_a_pattern_of_one_type_does_not_take_everything() -> None:
+    first, *others = [sample(prose("n", said, after=" bar"), value, node=said) for value, said in SENTENCES]
+    found = find([first, *others])
+    assert found is not None
+    assert not found.takes_everything
+    assert [missed.expected for missed in found.missed] == [[1, -2], " two, words "]
+
+
+def test_a_place_that_takes_everything_is_found_although_one_answer_is_wrong() -> None:
+    wrong = sample(answer("x", {"v": 9007199254740992.0}), 9007199254740993, node="c")
+    right = [sample(answer("x", {"v": value}), value, node=node) for node, value in (("a", 1.5), ("b", 2.5))]
+    found = find([*right, wrong])
+    assert found is not None
+    assert (found.rule, found.missed, found.takes_everything) == ({"path": "v"}, (wrong,), True)
+
+
+def test_a_place_that_has_the_value_of_one_call_alone_is_none() -> None:
+    said = [
+        sample(answer("x", {"v": 1.5}), value, node=node)
+        for node, value in (("a", 1.5), ("a", 1.5), ("b", 2.5), ("c", 3.5))
+    ]
+    assert find(said) is None
+    assert find(said[:2]) is not None
+
+
+@pytest.mark.parametrize(
+    ("found", "expected", "same"),
+    [
+        ("9007199254740993", 9007199254740993, True),
+        (9007199254740992.0, 9007199254740993, False),
+        ("7", 7, False),
+        ("2026-11-22 12:00:00.5", "2026-11-22T12:00:00.500+00:00", True),
+        ("2026-11-22T12:00:00.500Z", "2026-11-22T12:00:00.500+00:00", True),
+        ("2026-11-22T13:00:00.500Z", "2026-11-22T12:00:00.500+00:00", False),
+        ("2026-11-22 yesterday", "2026-11-22T12:00:00.500+00:00", False),
+        (1, True, False),
+        (False, False, True),
+        (5.0, 5, True),
+        ([1, True], [1, 1], False),
+    ],
+)
+def test_what_says_a_value_is_told_from_what_does_not(found: object, expected: object, same: bool) -> None:
+    assert same_value(found, expected) is same
+
+
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        ({"result": {"content": [{"type": "text", "text": "7"}]}}, None),
+        ({"result": {"content": []}}, None),
+        ({"result": {"content": [{"type": "json", "json": 7}]}}, "a content block of the type 'json', which MCP does not know"),
+        ({"result": {"content": ["7"]}}, "a content block of the type None, which MCP does not know"),
+        ({"result": {"content": [{"type": "text"}]}}, "a text block without a text"),
+        ({"result": {"value": 7}}, "a result whose content is no list"),
+        ({"result": 7, "id": 1}, "error None instead of a result: 'None'"),
+        ({"error": {"code": -32602, "message": "Invalid\n result"}}, "error -32602 instead of a result: 'Invalid result'"),
+    ],
+)  # fmt: skip
+def test_an_answer_that_is_no_result_of_a_tool_call_is_said_to_be_none(
+    message: Mapping[str, Any], why: str | None
+) -> None:
+    assert no_result(message) == why
+
+
 def test_a_value_that_is_not_there_is_not_found() -> None:
-    assert find(answer("Registers: [0, 0, 0]", {"values": [0, 0, 0]}), [250, 150, 60]) is None
+    message = answer("Registers: [0, 0, 0]", {"values": [0, 0, 0]})
+    assert find([Sample(message=message, expected=[250, 150, 60])]) is None
 
 
 def test_a_list_of_nodes_may_begin_with_the_node_that_was_asked_for() -> None:
@@ -345,25 +551,79 @@ def test_a_voluntary_operation_is_proposed_for_a_tool_that_plainly_matches(
     assert bool(guesses("modbus", operation, {name: tool(arguments)})) is expected
 
 
+def drafted(**known: Any) -> Draft:
+    """Return a draft of which nothing is known but this."""
+    nothing: dict[str, Any] = {
+        "protocol": "modbus",
+        "name": "x",
+        "server_version": "1",
+        "command": ["x"],
+        "env": {},
+        "files": {},
+        "era": None,
+        "transport_url": None,
+        "native": True,
+        "proposals": {},
+        "connect": None,
+        "tools": [],
+        "longest_s": 0.1,
+        "errors": {},
+    }
+    return Draft(**{**nothing, **known})
+
+
+@pytest.mark.parametrize(
+    ("protocol", "missing"),
+    [
+        ("modbus", {"ping", "read_input", "read_holding", "write_holding"}),
+        ("mqtt", {"info", "subscribe", "messages", "publish", "device_birth", "device_data"}),
+    ],
+)
+def test_what_was_not_found_is_declared_as_unclaimed_with_a_reason_that_says_who_looked(
+    protocol: str, missing: set[str]
+) -> None:
+    draft = drafted(protocol=protocol, tools=["other"])
+    text = write_document(draft)
+    unclaimed = tomllib.loads(text)["adapter"][protocol]["unclaimed"]
+    assert unclaimed.pop("guard") == "otmcp init does not know how writes are disabled"
+    assert unclaimed == dict.fromkeys(missing, "otmcp init found no tool for it")
+    assert "# Not proven, only proposed: take a line away when the adapter has what it names" in text
+    assert all(
+        f"# No tool is called like one for it: {protocols()[protocol].operations[name].meaning}.\n{name} = " in text
+        for name in missing
+    )
+    assert {sentence.partition(" (")[0] for sentence in draft.left} >= missing
+
+
+def test_a_tool_that_is_only_a_guess_is_not_declared_as_unclaimed() -> None:
+    (guess,) = guesses("modbus", "ping", {"ping_status": tool("licence")})
+    likely = Proposal(guess=guess, proven=False, evidence=["not tried"])
+    text = write_document(drafted(proposals={"ping": likely}))
+    assert "ping" not in tomllib.loads(text)["adapter"]["modbus"]["unclaimed"]
+    assert "# Only a guess; take the comment signs away when it is right." in text
+
+
+def test_a_variable_that_is_called_so_is_proposed_as_the_switch_for_writes() -> None:
+    env = {"PLC_HOST": "{host}", "PLC_WRITES": "1", "PLC_READ_ONLY": "no"}
+    switches = switches_in(["Write a register; needs ALLOW_WRITE. Set PLC_HOST.", "READ_ONLY_MODE forbids it."])
+    text = write_document(drafted(env=env, switches=switches))
+    for name, disabled, enabled in (
+        ("PLC_WRITES", "0", "1"),
+        ("PLC_READ_ONLY", "yes", "no"),
+        ("ALLOW_WRITE", "false", "true"),
+        ("READ_ONLY_MODE", "true", "false"),
+    ):
+        assert (
+            f'# ro = {{ env = {{ {name} = "{disabled}" }} }}\n# rw = {{ env = {{ {name} = "{enabled}" }} }}\n' in text
+        )
+    assert "# PLC_HOST" not in text
+    assert "ro" not in tomllib.loads(text)["adapter"]["modbus"]
+
+
 def test_a_voluntary_operation_is_proposed_as_a_comment_and_is_no_work_for_the_user() -> None:
     found = by_name(guesses("modbus", "mask_write", {"mask_write": tool("address and_mask or_mask")}))
     assert found is not None
-    draft = Draft(
-        protocol="modbus",
-        name="x",
-        server_version="1",
-        command=["x"],
-        env={},
-        files={},
-        era=None,
-        transport_url=None,
-        native=True,
-        proposals={"mask_write": found},
-        connect=None,
-        tools=["mask_write"],
-        longest_s=0.1,
-        errors={},
-    )
+    draft = drafted(proposals={"mask_write": found}, tools=["mask_write"])
     text = write_document(draft)
     assert "# likely: by its name and its arguments; not called\n" in text
     assert '# tool = "mask_write"\n' in text
@@ -402,13 +662,48 @@ def test_a_tool_that_may_write_is_never_guessed_for_reading() -> None:
 
 
 @pytest.mark.parametrize(
+    ("protocol", "operation", "name", "arguments", "may_be_called"),
+    [
+        ("mqtt", "messages", "mqtt_unsubscribe", "topic", False),
+        ("mqtt", "messages", "mqtt_receive_messages", "topic", True),
+        ("mqtt", "messages", "get_and_clear_messages", "topic", False),
+        ("mqtt", "messages", "clearReceivedMessages", "topic", False),
+        ("mqtt", "messages", "read_messages_and_stop", "topic", False),
+        ("mqtt", "subscribe", "start_subscription", "topic", True),
+        ("mqtt", "subscribe", "unsubscribe_subscription", "topic", False),
+        ("mqtt", "unsubscribe", "mqtt_unsubscribe", "topic", True),
+        ("mqtt", "info", "reset_connection_status", "", False),
+        ("mqtt", "info", "start_health_check", "", False),
+        ("mqtt", "info", "get_start_status", "", True),
+        ("modbus", "ping", "restart_health", "", False),
+        ("modbus", "ping", "reconnect_status", "", False),
+        ("modbus", "read_holding", "read_write_registers", "address count", False),
+        ("modbus", "read_holding", "read_and_reset_registers", "address count", False),
+        ("modbus", "read_holding", "reset_holding_registers", "address count", False),
+        ("modbus", "read_holding", "plc_read_start_registers", "address count", True),
+        ("modbus", "read_holding", "plc_start_read_registers", "address count", False),
+        ("opcua", "read", "delete_node_value", "node_id", False),
+        ("opcua", "read", "get_node_value", "node_id", True),
+        ("opcua", "variables", "remove_all_variables", "", False),
+    ],
+)
+def test_a_tool_whose_name_says_that_it_changes_something_is_never_called_as_a_read(
+    protocol: str, operation: str, name: str, arguments: str, may_be_called: bool
+) -> None:
+    assert bool(guesses(protocol, operation, {name: tool(arguments)})) is may_be_called
+
+
+@pytest.mark.parametrize(
     ("text", "codes"),
     [
         ("[Errno 111] Connection refused", ["connect_failed"]),
         ("failed to connect to 127.0.0.1", ["connect_failed"]),
         ("read error: Connection reset by peer", ["connection_lost"]),
         ("the connection was lost", ["connection_lost"]),
-        ("connection lost; not connected", ["connect_failed", "connection_lost"]),
+        ("connection lost; not connected", ["connection_lost"]),
+        ("connection lost; could not connect again", []),
+        ("Connection Refused: not authorised.", []),
+        ("the device is offline", []),
         ("no such register", []),
     ],
 )

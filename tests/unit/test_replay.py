@@ -8,6 +8,7 @@ import json
 import random
 import struct
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any
 
 import pytest
@@ -19,7 +20,9 @@ from pytest_otmcp.record.images import Images, keep_image, restore_image
 from pytest_otmcp.record.reader import StoredRun
 from pytest_otmcp.record.schema import Run, check
 from pytest_otmcp.replay.rejudge import rejudge
+from pytest_otmcp.replay.reply import recorded_reply, restored_bindings
 from pytest_otmcp.subject import reference_subject
+from pytest_otmcp.subject.model import Answering, Binding, OutputRule
 from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from pytest_otmcp.trial.stored import KEPT_OF_A_FRAME
@@ -790,3 +793,37 @@ def test_images_of_two_devices_are_kept_apart() -> None:
         "image",
         "changes",
     ]
+
+
+def test_an_output_that_is_called_like_an_input_is_read_again_by_that_input() -> None:
+    binding = Binding(
+        tool="read_nodes",
+        arguments={"nodes": ["$node"]},
+        outputs={"value": OutputRule(path='values."$node"')},
+        answering=Answering(form="json"),
+        when={},
+        offset={},
+        names={"node": {"ns=2;s=Level": "level"}},
+        convert={},
+    )
+    (case,) = restored_bindings({"read": [asdict(binding)]})["read"] or []
+    text = json.dumps({"values": {"level": 7.5, "ns=2;s=Level": 8.5}})
+    response = json.dumps({"jsonrpc": "2.0", "id": 1, "result": {"content": [{"type": "text", "text": text}]}})
+    request = '{"jsonrpc": "2.0", "id": 1}'
+    recorded = {
+        "adapter": "opcua",
+        "variant": "rw",
+        "operation": "read",
+        "inputs": {"node": "ns=2;s=Level"},
+        "tool": "read_nodes",
+        "arguments": {"nodes": ["level"]},
+        "sent_ns": 1,
+        "received_ns": 2,
+        "frames": {"request": request, "response": response, "failure": None, "complaint": None},
+        "frames_sha256": hashlib.sha256(f"{request}\n{response}".encode()).hexdigest(),
+        "listed": True,
+        "native": False,
+        "envelope": None,
+    }
+    reply = recorded_reply(recorded, cases=[case], endpoint={}, deadline_s=5.0)
+    assert reply.outputs == {"value": 7.5}

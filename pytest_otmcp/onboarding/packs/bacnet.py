@@ -34,7 +34,7 @@ async def _read(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     experimenter.locate(proposal, "value", value)
     if proven:
-        await experimenter.provoke(proposal, "illegal_address", **_at(_MISSING))
+        experimenter.provoke(proposal, "illegal_address", **_at(_MISSING))
     return proposal
 
 
@@ -45,7 +45,7 @@ async def _write(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
-        await experimenter.provoke(proposal, "not_writable", **_at(_INPUT), value=value, priority=_PRIORITY)
+        experimenter.provoke(proposal, "not_writable", **_at(_INPUT), value=value, priority=_PRIORITY)
     # A command is given back, or the object would stay overridden for the experiments that follow.
     await experimenter.device.poke(object=f"{_OUTPUT[0]},{_OUTPUT[1]}", value=None, priority=_PRIORITY)
     return proposal
@@ -99,7 +99,6 @@ PACK = Pack(
     names=("bacnet", "bacnet-ip", "bacnet_ip", "bacnetip"),
     errors={
         "illegal_address": (r"(?i)unknown[-_ ]?(object|property)",),
-        "illegal_value": (r"(?i)value[-_ ]?out[-_ ]?of[-_ ]?range",),
-        "not_writable": (r"(?i)write[-_ ]?access[-_ ]?denied",),
+        "not_writable": (r"(?i)write[-_]access[-_]denied",),
     },
 )

@@ -32,7 +32,7 @@ async def _read_analog(experimenter: Experimenter, guess: Guess) -> Proposal:
     values = [experimenter.random.choice(_VALUES) for _ in range(_ANALOGS)]
     proposal = await _read(experimenter, guess, "analog_input", _ANALOG, values)
     if proposal.proven:
-        await experimenter.provoke(proposal, "illegal_address", **_at(_MISSING, 1))
+        experimenter.provoke(proposal, "illegal_address", **_at(_MISSING, 1))
     return proposal
 
 
@@ -65,7 +65,7 @@ async def _write_binary(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, on, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "value", True, also=(off, False))
-        await experimenter.provoke(proposal, "illegal_address", outstation=_OUTSTATION, index=_MISSING, value=True)
+        experimenter.provoke(proposal, "illegal_address", outstation=_OUTSTATION, index=_MISSING, value=True)
     return proposal
 
 
@@ -119,6 +119,6 @@ PACK = Pack(
     },
     names=("dnp3",),
     errors={
-        "illegal_address": (r"(?i)parameter[ _]error|object[ _]unknown|not[ _]supported|IIN2\.[12]",),
+        "illegal_address": (r"(?i)parameter[ _]error|object[ _]unknown|IIN2\.[12]\b",),
     },
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from ...protocols.ethernetip import oracle
+from ..evidence import beyond
 from ..experimenter import Experimenter
 from ..guess import Guess
 from ..pack import Hints, Pack, plain
@@ -32,7 +33,7 @@ async def _read_tag(experimenter: Experimenter, guess: Guess) -> Proposal:
     experimenter.locate(proposal, "value", value)
     if proven:
         experimenter.locate_echo(proposal, "data_type", _TYPE)
-        await experimenter.provoke(proposal, "illegal_address", tag=_MISSING)
+        experimenter.provoke(proposal, "illegal_address", tag=_MISSING)
     return proposal
 
 
@@ -58,7 +59,7 @@ async def _write_tag(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
-        await experimenter.provoke(proposal, "range_overflow", tag=f"{_ARRAY}[0]", value=70000, type=_ELEMENT_TYPE)
+        experimenter.provoke(proposal, "range_overflow", tag=f"{_ARRAY}[0]", value=70000, type=_ELEMENT_TYPE)
     return proposal
 
 
@@ -119,6 +120,6 @@ PACK = Pack(
         "illegal_address": (
             r"(?i)path (segment error|destination unknown)|destination unknown|tag [^\n]{0,80}(not found|does(n't| not) exist)",
         ),
-        "range_overflow": (r"(?i)out of range|does not fit|overflow|must be between|format requires",),
+        "range_overflow": (beyond("does not fit", "overflow", "format requires"),),
     },
 )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import random
 import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from ...protocols.exercise import Asked
 from ...protocols.journal import Entries
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
+from ..evidence import beyond
 from ..experimenter import Experimenter
 from ..guess import Guess
 from ..known_causes import KnownCause
@@ -20,8 +23,8 @@ __all__ = ["PACK"]
 _READ_COILS, _READ_DISCRETE_INPUTS = 1, 2
 _BITS = 40
 _READ_HOLDING, _READ_INPUT, _WRITE_SINGLE, _WRITE_MULTIPLE = 3, 4, 6, 16
-_VALUES = range(2000, 0x10000)
-"""Values that cannot be mistaken for an address, a count or a default."""
+_VALUES = range(2000, 0x8000)
+"""Values that cannot be mistaken for an address, a count or a default, and that have no sign to be mistaken."""
 
 _TABLE = r"^(kind|table|type|register_type|area|source)$"
 
@@ -50,8 +53,30 @@ async def _read(
     proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
     experimenter.locate(proposal, "values", values)
     if proven:
-        await experimenter.provoke(proposal, "illegal_address", address=9999, count=1)
+        experimenter.provoke(proposal, "illegal_address", address=9999, count=1)
     return proposal
+
+
+def _samples(rng: random.Random) -> tuple[Asked, ...]:
+    """Return reads at three addresses of each table: several values, one alone, and the bounds of a register."""
+    words, bits = rng.sample(_VALUES, 5), [rng.random() < 0.5 for _ in range(_BITS)]
+    bounds: dict[bool, list[Any]] = {True: [0, 0xFFFF, 0x8000, 1], False: [True, False]}
+    tables: dict[str, tuple[str, list[Any]]] = {
+        "read_input": ("input_registers", words),
+        "read_holding": ("holding_registers", words),
+        "read_coils": ("coils", bits),
+        "read_discrete_inputs": ("discrete_inputs", bits),
+    }
+    return tuple(
+        Asked(
+            operation=operation,
+            inputs={"address": address, "count": len(values)},
+            outputs={"values": values},
+            pokes=({"unit": 1, "table": table, "address": address, "values": values},),
+        )
+        for operation, (table, several) in tables.items()
+        for address, values in ((50, several), (77, several[2:3]), (90, bounds[several is words]))
+    )
 
 
 async def _read_coils(experimenter: Experimenter, guess: Guess) -> Proposal:
@@ -90,7 +115,7 @@ async def _write_holding(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
-        await experimenter.provoke(proposal, "range_overflow", address=12, value=70000)
+        experimenter.provoke(proposal, "range_overflow", address=12, value=70000)
     return proposal
 
 
@@ -201,12 +226,13 @@ PACK = Pack(
     # The mock device's unit identifier.
     constants={r"^(unit|unit_id|unitid|slave|slave_id|slaveid)$": 1},
     names=("modbus", "modbus-tcp", "modbus_tcp", "tcp"),
+    samples=_samples,
     errors={
         "illegal_address": (
             r"(?i)0x0?2\b|exception[ _]code\W{0,4}2\b|illegal.?data.?address",
         ),
         "range_overflow": (
-            r"(?i)out of range|number <= 65535|less than or equal to 65535|overflow|must be between",
+            beyond("number <= 65535", "less than or equal to 65535", "overflow"),
         ),
     },
     causes=(

@@ -9,7 +9,7 @@ from typing import Any
 
 from ...subject.answers import extract, read_answer
 from ...subject.model import OutputRule, placeholders
-from ..evidence import claims_success, find
+from ..evidence import Sample, claims_success, find
 from ..experimenter import Experimenter
 from ..guess import Guess
 from ..pack import Hints, Pack, plain
@@ -133,7 +133,7 @@ async def _inbox(experimenter: Experimenter, guess: Guess) -> Proposal:
 def _placed(proposal: Proposal, topic: str, nonce: str) -> Proposal:
     """Say where messages are in an answer that holds one with this topic and payload."""
     for form in ("structured", "json", "texts"):
-        place = find(proposal.good or {}, nonce, (form,))
+        place = find([Sample(message=proposal.good or {}, expected=nonce)], (form,))
         if place is None or "[0]." not in str(place.rule.get("path")):
             continue
         listed, payload = str(place.rule["path"]).split("[0].", 1)
@@ -158,7 +158,7 @@ async def _publish(experimenter: Experimenter, guess: Guess) -> Proposal:
         guess, shown, proven=bool(own), seen=f"a PUBLISH with QoS {own[0].get('qos')}" if own else ""
     )
     if own:
-        await experimenter.provoke(proposal, "invalid_input", topic="", payload=nonce, qos=0)
+        experimenter.provoke(proposal, "invalid_input", topic="", payload=nonce, qos=0)
     return proposal
 
 

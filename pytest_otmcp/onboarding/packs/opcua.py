@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import random
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from ...protocols.exercise import Asked
 from ...protocols.opcua.oracle import children_of, folder_id, some_service
-from ..evidence import lists_in
+from ..evidence import Sample, lists_in
 from ..experimenter import Experimenter
 from ..guess import Guess
 from ..pack import Hints, Pack, plain
-from ..proposal import Proposal
+from ..proposal import Proposal, Shown
 
 __all__ = ["PACK"]
 
@@ -25,7 +31,7 @@ async def _read(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=seen, seen="a Read of the node" if seen else "")
     experimenter.locate(proposal, "value", value)
     if seen:
-        await experimenter.provoke(proposal, "illegal_address", node=_MISSING_NODE)
+        experimenter.provoke(proposal, "illegal_address", node=_MISSING_NODE)
     return proposal
 
 
@@ -41,15 +47,56 @@ async def _read_many(experimenter: Experimenter, guess: Guess) -> Proposal:
     return proposal
 
 
+def _samples(rng: random.Random) -> tuple[Asked, ...]:
+    """Return reads of nodes of several types, in a random order; the nodes are added by their pokes."""
+    moment = datetime(2020, 1, 1, tzinfo=UTC) + timedelta(milliseconds=rng.randrange(10**11))
+    held: dict[str, list[Any]] = {
+        "Boolean": [True, False],
+        "Double": [-round(rng.uniform(1.0, 99.0), 4)],
+        "Int32": [-rng.randrange(1000, 2**31)],
+        # No floating-point number holds it.
+        "UInt64": [2**53 + 2 * rng.randrange(2**40) + 1],
+        # A text may begin and end with blanks.
+        "String": [f"  init {rng.getrandbits(32):08x}, of two words "],
+        "DateTime": [moment.isoformat(timespec="milliseconds")],
+        "Int32.Vector": [[rng.randrange(-(2**31), 2**31) for _ in range(3)]],
+    }
+    nodes = [
+        {"variable": f"Otmcp.{kind}.{rng.getrandbits(32):08x}", "type": kind.partition(".")[0], "value": value}
+        for kind, values in held.items()
+        for value in values
+    ]
+    mixed = rng.sample(nodes[:4], 3)
+    return (
+        *(
+            Asked(
+                operation="read",
+                inputs={"node": f"ns=2;s={node['variable']}"},
+                outputs={"value": node["value"]},
+                pokes=({"create": [node]},),
+            )
+            for node in nodes
+        ),
+        Asked(
+            operation="read_many",
+            inputs={"nodes": [f"ns=2;s={node['variable']}" for node in mixed]},
+            outputs={"values": [node["value"] for node in mixed]},
+            pokes=({"create": mixed},),
+        ),
+    )
+
+
 async def _browse(experimenter: Experimenter, guess: Guess) -> Proposal:
     image = await experimenter.device.image()
-    folder = folder_id(image, "Actuators")
-    children = children_of(image, "Actuators")
-    shown = await experimenter.call(guess, {}, node=folder)
+    first, other = [
+        (await experimenter.call(guess, {}, node=folder_id(image, name)), children_of(image, name))
+        for name in ("Actuators", "Sensors")
+    ]
+    folder, (shown, children) = folder_id(image, "Actuators"), first
     seen = any(entry["kind"] == "Browse" and folder in str(entry) for entry in shown.entries)
     proposal = experimenter.propose(guess, shown, proven=seen, seen="a Browse of the folder" if seen else "")
-    _locate_all(proposal, "node_ids", set(children.values()))
-    _locate_all(proposal, "browse_names", set(children))
+    _locate_all(proposal, "node_ids", set(children.values()), other=(other[0], set(other[1].values())))
+    _locate_all(proposal, "browse_names", set(children), other=(other[0], set(other[1])))
     return proposal
 
 
@@ -62,7 +109,7 @@ async def _write(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven, seen="a Write, and holds the value" if proven else "")
     if proven:
         experimenter.locate_echo(proposal, "value", value)
-        await experimenter.provoke(proposal, "type_mismatch", node=_VALVE, value="fully open")
+        experimenter.provoke(proposal, "type_mismatch", node=_VALVE, value="fully open")
     return proposal
 
 
@@ -76,16 +123,27 @@ async def _variables(experimenter: Experimenter, guess: Guess) -> Proposal:
     return proposal
 
 
-def _locate_all(proposal: Proposal, output: str, expected: set[str]) -> None:
-    """Look for a list of texts that the device is known to have given, in any order."""
-    for form, rule, found in lists_in(proposal.good or {}, _NAMESPACE):
-        if set(found) == expected:
+def _locate_all(
+    proposal: Proposal, output: str, expected: set[str], *, other: tuple[Shown, set[str]] | None = None
+) -> None:
+    """Look for a list of texts that the device is known to have given, in any order.
+
+    Args:
+        other: what another call showed, and the texts that have to be at the same place in its answer.
+    """
+    for form, rule, found in lists_in(proposal.good or {}, _NAMESPACE, proposal.told):
+        if set(found) == expected and (other is None or _is_there(form, rule, *other)):
             proposal.form = proposal.form or form
             if form == proposal.form:
                 proposal.outputs[output] = rule
                 proposal.evidence.append(f"{len(expected)} {output} of the device were found there")
                 return
     proposal.evidence.append(f"the {output} of the device were not found in the answer: fill in 'result'")
+
+
+def _is_there(form: str, rule: Mapping[str, object], shown: Shown, expected: set[str]) -> bool:
+    found = Sample(message=shown.message or {}, expected=None, told=shown.told).read(form, rule)
+    return isinstance(found, list) and set(found) == expected
 
 
 PACK = Pack(
@@ -136,6 +194,7 @@ PACK = Pack(
     },
     lists=frozenset({"nodes", "items", "arguments"}),
     names=("opcua", "opc-ua", "opc_ua"),
+    samples=_samples,
     errors={
         "illegal_address": (r"BadNodeIdUnknown|0x8034",),
         "type_mismatch": (r"BadTypeMismatch|[Tt]ype.?[Mm]ismatch|could not convert",),

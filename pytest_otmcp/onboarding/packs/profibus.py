@@ -38,7 +38,7 @@ async def _write_outputs(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "values", list(content))
-        await experimenter.provoke(proposal, "limit_exceeded", slave=_VALVES, data=[1] * (_VALVE_OUTPUTS + 1))
+        experimenter.provoke(proposal, "limit_exceeded", slave=_VALVES, data=[1] * (_VALVE_OUTPUTS + 1))
     return proposal
 
 
@@ -78,6 +78,6 @@ PACK = Pack(
     lists=frozenset({"data"}),
     names=("profibus", "profibus-dp", "profibus_dp"),
     errors={
-        "limit_exceeded": (r"(?i)bytes of outputs?|output length|too (long|many)|at most|wrong (length|number)",),
+        "limit_exceeded": (r"(?i)bytes of outputs?|output length|(outputs|data|bytes)\b.{0,20}too (long|many)",),
     },
 )

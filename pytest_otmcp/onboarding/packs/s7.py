@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from ...protocols.s7 import oracle
+from ..evidence import beyond
 from ..experimenter import Experimenter
 from ..guess import Guess
 from ..pack import Hints, Pack, plain
@@ -40,7 +41,7 @@ async def _read_typed(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     experimenter.locate(proposal, "value", value)
     if proven:
-        await experimenter.provoke(proposal, "illegal_address", db=_MISSING_BLOCK, start=0, type="INT")
+        experimenter.provoke(proposal, "illegal_address", db=_MISSING_BLOCK, start=0, type="INT")
     return proposal
 
 
@@ -52,7 +53,7 @@ async def _write_db(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(guess, shown, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
-        await experimenter.provoke(proposal, "range_overflow", db=_BLOCK, start=_PLACE, type="INT", value=70000)
+        experimenter.provoke(proposal, "range_overflow", db=_BLOCK, start=_PLACE, type="INT", value=70000)
     return proposal
 
 
@@ -106,7 +107,6 @@ PACK = Pack(
         "illegal_address": (
             r"(?i)object does not exist|item not available|invalid address|address out of range|0x0a\b|0x05\b",
         ),
-        "range_overflow": (r"(?i)out of range|does not fit|overflow|must be between|format requires",),
-        "access_denied": (r"(?i)not allowed|access denied|0x8104|function refused",),
+        "range_overflow": (beyond("does not fit", "value overflow", "format requires"),),
     },
 )
