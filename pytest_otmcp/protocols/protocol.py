@@ -88,6 +88,7 @@ class Operation:
             Where a call does not give one, the argument that stands for it is left out.
         voluntary_outputs: further outputs, each a facet that is claimed by saying where it is.
         defaults: values of voluntary inputs for a tool whose schema requires the argument that stands for them.
+        documents: inputs that are texts, and that the effect of a named command may state as a JSON document.
     """
 
     meaning: str
@@ -106,6 +107,7 @@ class Operation:
     voluntary_inputs: tuple[str, ...] = ()
     voluntary_outputs: tuple[str, ...] = ()
     defaults: Mapping[str, object] = field(default_factory=dict)
+    documents: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.requirement:
@@ -222,6 +224,10 @@ def _any_answer(kind: str, asked: str) -> bool:
     return True
 
 
+def _declares_nothing(operation: str, effect: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
+    return {}
+
+
 def _no_stamps(entries: Entries) -> Iterable[Stamp]:
     return ()
 
@@ -240,6 +246,8 @@ class OtProtocol:
         probes: values that tasks ask for where the request must be refused; a subject file may replace each.
         choices: keys that the protocol adds to a subject file.
         lists: further keys in a subject file whose values are lists of strings, each with its meaning.
+        declares: returns what a named command adds to these lists, from the operation that it performs and the texts of its effect, with
+            ``+`` in the place of each level, between slashes, that an argument has a part in.
         framing: decoding of recorded bytes; None when only the mock can be the witness.
         unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
             asked for nothing.
@@ -299,6 +307,7 @@ class OtProtocol:
     probes: Mapping[str, object] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()
     lists: Mapping[str, str] = field(default_factory=dict)
+    declares: Callable[[str, Mapping[str, str]], Mapping[str, Sequence[str]]] = _declares_nothing
     framing: Framing | None = None
     onboarding: str | None = None
     title: Callable[[JournalEntry], str] | None = None
