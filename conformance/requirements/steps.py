@@ -26,6 +26,7 @@ __all__ = [
     "a_read_works",
     "a_write_works",
     "answers_again",
+    "asked_of_the_device",
     "citing",
     "exact_or_refused",
     "exercise",
@@ -146,7 +147,19 @@ async def a_write_works(run: Repetition, at: Rig, *, requirement: str | None = N
     """Write a random value, as the positive control beside what must be refused: said, and done once."""
     asked, reply = await write(run, at)
     run.succeeds(reply, requirement=requirement, **asked.outputs)
-    run.witnessed(written_once(at, asked, reply.during(await at.journal()), requirement=requirement))
+    run.witnessed(written_once(at, asked, await asked_of_the_device(at, asked, reply), requirement=requirement))
+
+
+async def asked_of_the_device(at: Rig, asked: Asked, reply: Reply) -> Entries:
+    """Return what reached the device during a call that writes; of a named command also what has come since.
+
+    What a command sends may need no answer, as a message of QoS 0, and is on its way then when the call is answered.
+    """
+    if not at.by_command_alone(asked.operation):
+        return reply.during(await at.journal())
+    if reply.success and not exercise(at).done(since(reply, await at.journal()), asked):
+        await at.watch(QUIET_S)
+    return since(reply, await at.journal())
 
 
 def written_once(at: Rig, asked: Asked, entries: Entries, *, requirement: str | None = None) -> list[Finding]:

@@ -243,7 +243,7 @@ async def a_write_changes_its_target_alone(run: Repetition, at: Rig) -> None:
 # -- WR-003 -------------------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("WR-003", "A write is sent once, whatever becomes of its answer.", writes=True)
+@TASKS.every_protocol("WR-003", "A write is sent once, whatever becomes of its answer.", writes=True, status=True)
 async def a_write_is_sent_once(run: Repetition, at: Rig) -> None:
     """Write; write while the device answers late; while it resets the connection instead; and while it never answers.
 
@@ -436,7 +436,9 @@ def _nothing_published(reply: Reply, entries: Entries) -> list[Finding]:
     return []
 
 
-@TASKS.every_protocol("WR-005", "A write switch that means nothing enables nothing.", writes=True, guard=True)
+@TASKS.every_protocol(
+    "WR-005", "A write switch that means nothing enables nothing.", writes=True, guard=True, status=True
+)
 async def a_meaningless_switch(run: Repetition, at: Rig, guarded: Rig) -> None:
     """Write with writes disabled; with writes enabled; and through an adapter that was started with a write switch that means
     nothing.
@@ -780,7 +782,7 @@ _WATCHED_S = {False: 2.5, True: 60.0}
 """Seconds for which nothing of it must arrive, in the short and in the long form: also what a timer of two seconds sends."""
 
 
-@TASKS.every_protocol("WR-010", "What failed is not carried out later.", writes=True, facets="recovery")
+@TASKS.every_protocol("WR-010", "What failed is not carried out later.", writes=True, facets="recovery", status=True)
 async def what_failed_is_not_made_up_for(run: Repetition, at: Rig) -> None:
     """Write twice while the device is away: before the adapter has noticed that, and after; and once by every other operation that
     writes. Read when it is back.

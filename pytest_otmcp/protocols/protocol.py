@@ -23,9 +23,11 @@ from .stamp import Stamp
 __all__ = [
     "ANY_READ",
     "BOUNDS",
+    "COMMANDS",
     "CONTROL_GUARD",
     "GUARD",
     "LAUNCHES",
+    "READ_OR_STATUS",
     "RECOVERY",
     "Choice",
     "Colour",
@@ -50,11 +52,18 @@ BOUNDS = "bounds"
 LAUNCHES: Mapping[str, str] = {GUARD: "ro", CONTROL_GUARD: "no_control", BOUNDS: "bounded"}
 """Facets that are launches of their own, to the variant of the adapter that has the facet."""
 
+COMMANDS = "commands"
+"""Facet: the adapter has tools with a vocabulary of their own, whose effect on the device the subject file states."""
+
 RECOVERY = "recovery"
 """Facet: after an outage of the endpoint the same session works again."""
 
 ANY_READ = "any_read"
 """Facet that tasks need: one of the operations that the device itself has to answer, whichever the subject has."""
+
+READ_OR_STATUS = "read_or_status"
+"""Facet that checks need: the operation that the exercise reads with, or else one of :data:`ANY_READ`: whether the device answers again is
+all that they read for."""
 
 
 Declared = Mapping[str, Sequence[str]]
@@ -336,7 +345,7 @@ class OtProtocol:
     @property
     def facets(self) -> tuple[str, ...]:
         """Facets that an adapter for this protocol may claim or not."""
-        names = [GUARD, RECOVERY, BOUNDS]
+        names = [GUARD, RECOVERY, BOUNDS, COMMANDS]
         names += [CONTROL_GUARD] if self.controls else []
         for name, operation in self.operations.items():
             names += [name, *(f"{name}.{optional}" for optional in operation.optional)]
@@ -346,8 +355,8 @@ class OtProtocol:
         return tuple(names)
 
     def is_voluntary(self, facet: str) -> bool:
-        """Tell whether only a binding, or a launch, claims this facet: nothing is said of a subject that does not have one."""
-        if facet in (BOUNDS, CONTROL_GUARD):
+        """Tell whether only a binding, a launch or a named command claims this facet: nothing is said of a subject that has none."""
+        if facet in (BOUNDS, COMMANDS, CONTROL_GUARD):
             return True
         name, _, part = facet.partition(".")
         operation = self.operations.get(name)
@@ -374,6 +383,8 @@ class OtProtocol:
 
     def alternatives(self, facet: str, waiting: Collection[str]) -> tuple[str, ...]:
         """Return the facets of which a task needs any one, the best first; none where ``facet`` leaves no choice."""
+        if facet == READ_OR_STATUS and self.exercise is not None:
+            return tuple(dict.fromkeys((self.exercise.reading, *self.alternatives(ANY_READ, waiting))))
         if facet != ANY_READ:
             return self.composites[facet].one_of if facet in self.composites else ()
         # A call that does not wait for messages returns what came before, so the device need not be there.

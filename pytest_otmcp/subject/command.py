@@ -90,6 +90,11 @@ class Command:
     effect: Mapping[str, Any]
     documents: tuple[str, ...] = field(default=())
 
+    @property
+    def count(self) -> int:
+        """The number of calls that differ in their arguments."""
+        return math.prod(draw.count for draw in self.draws.values())
+
     def drawn(self, rng: random.Random) -> dict[str, Any]:
         """Return the operation's inputs for arguments that are drawn at random."""
         return self._inputs({name: rng.randrange(draw.count) for name, draw in self.draws.items()})
@@ -116,7 +121,11 @@ class Command:
                 value = _document(value)
             if not self._match(template, value, found):
                 return None
-        return {name: draw.value(found[name]) for name, draw in self.draws.items()} if found.keys() >= self.draws.keys() else None
+        return (
+            {name: draw.value(found[name]) for name, draw in self.draws.items()}
+            if found.keys() >= self.draws.keys()
+            else None
+        )
 
     def pattern(self, name: str, wildcard: str) -> str:
         """Return the text of an input with a wildcard in the place of each level, between slashes, that an argument has a part in."""

@@ -46,11 +46,11 @@ def declared_by(operations: Mapping[str, tuple[Binding, ...] | Function], protoc
     """Return what the named commands add to the lists of the protocol's own keys."""
     added: dict[str, list[str]] = {}
     for name, bound in operations.items():
-        for command in (case.command for case in bound if not isinstance(bound, Function)):
-            if command is not None:
-                texts = {key: command.pattern(key, "+") for key, value in command.effect.items() if isinstance(value, str)}
-                for key, values in protocol.declares(name, texts).items():
-                    added.setdefault(key, []).extend(values)
+        cases = () if isinstance(bound, Function) else bound
+        for command in (case.command for case in cases if case.command is not None):
+            texts = {key: command.pattern(key, "+") for key, value in command.effect.items() if isinstance(value, str)}
+            for key, values in protocol.declares(name, texts).items():
+                added.setdefault(key, []).extend(values)
     return {key: list(dict.fromkeys(values)) for key, values in added.items()}
 
 

@@ -325,7 +325,9 @@ def command_table(protocol: OtProtocol) -> Table:
             "means": Key(
                 MapOf(_TABLE), "Argument to a table of its values, each with what it is at the device.", default={}
             ),
-            "effect": Key(Table(effects, rules=(one,)), "What the device gets: an operation with its inputs.", required=True),
+            "effect": Key(
+                Table(effects, rules=(one,)), "What the device gets: an operation with its inputs.", required=True
+            ),
             **_answering("; without it as the adapter does"),
         }
     )
@@ -335,7 +337,9 @@ def _effect(operation: Operation) -> Table:
     needed = set(operation.inputs) - set(operation.optional)
     return Table(
         {
-            name: Key(ANYTHING, f"The input '{name}'; $name is what a value that is drawn means.", required=name in needed)
+            name: Key(
+                ANYTHING, f"The input '{name}'; $name is what a value that is drawn means.", required=name in needed
+            )
             for name in operation.accepted
         }
     )

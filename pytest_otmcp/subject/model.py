@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from ..protocols.bounds import Bounds
-from ..protocols.protocol import BOUNDS, CONTROL_GUARD, GUARD, LAUNCHES, RECOVERY
+from ..protocols.protocol import BOUNDS, COMMANDS, CONTROL_GUARD, GUARD, LAUNCHES, RECOVERY
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, BoundsTold
 from .command import Command
@@ -393,7 +393,7 @@ class Adapter:
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""
         operation, _, optional = facet.partition(".")
-        if operation in (*LAUNCHES, RECOVERY):
+        if operation in (*LAUNCHES, RECOVERY, COMMANDS):
             return None
         bound = self.operations.get(operation)
         if bound is None:
@@ -459,7 +459,7 @@ class Adapter:
 
     @property
     def offered(self) -> tuple[str, ...]:
-        """The voluntary facets that bindings and launches claim."""
+        """The voluntary facets that bindings, launches and named commands claim."""
         known = protocols()[self.protocol]
         return tuple(
             facet for facet in known.facets if known.is_voluntary(facet) and self._has_place(*facet.partition(".")[::2])
@@ -468,6 +468,8 @@ class Adapter:
     def _has_place(self, operation: str, part: str) -> bool:
         if operation in LAUNCHES:
             return LAUNCHES[operation] in self.variants
+        if operation == COMMANDS:
+            return bool(self.commands)
         bound = self.operations.get(operation)
         if bound is None:
             return False
