@@ -17,6 +17,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from ..commanded import asked_of_the_device
 from ..within import within
 
 __all__ = [
@@ -26,7 +27,6 @@ __all__ = [
     "a_read_works",
     "a_write_works",
     "answers_again",
-    "asked_of_the_device",
     "citing",
     "exact_or_refused",
     "exercise",
@@ -148,18 +148,6 @@ async def a_write_works(run: Repetition, at: Rig, *, requirement: str | None = N
     asked, reply = await write(run, at)
     run.succeeds(reply, requirement=requirement, **asked.outputs)
     run.witnessed(written_once(at, asked, await asked_of_the_device(at, asked, reply), requirement=requirement))
-
-
-async def asked_of_the_device(at: Rig, asked: Asked, reply: Reply) -> Entries:
-    """Return what reached the device during a call that writes; of a named command also what has come since.
-
-    What a command sends may need no answer, as a message of QoS 0, and is on its way then when the call is answered.
-    """
-    if not at.by_command_alone(asked.operation):
-        return reply.during(await at.journal())
-    if reply.success and not exercise(at).done(since(reply, await at.journal()), asked):
-        await at.watch(QUIET_S)
-    return since(reply, await at.journal())
 
 
 def written_once(at: Rig, asked: Asked, entries: Entries, *, requirement: str | None = None) -> list[Finding]:

@@ -26,6 +26,8 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from ..commanded import carried_out
+from ..commanded import guarded as guarded_command
 from ..tasks.common import a_meaningless_switch_enables_nothing, each_fails, each_write
 from .steps import (
     CONNECTION_FAULTS,
@@ -388,8 +390,8 @@ async def the_opcua_guard_covers_every_write(run: Repetition, opcua: Rig, opcua_
 
 @TASKS.check("WR-004", "With writes disabled nothing is published.", needs="mqtt.publish mqtt.guard")
 async def the_mqtt_guard_covers_every_write(run: Repetition, mqtt: Rig, mqtt_ro: Rig) -> None:
-    """Publish a message, Sparkplug messages and Sparkplug commands by every operation that does so, with writes disabled; then the
-    same with writes enabled.
+    """Publish a message, Sparkplug messages and Sparkplug commands by every operation and every named command that does so, with
+    writes disabled; then the same with writes enabled.
 
     Said: refusals with `writes_disabled` and the outcome `not_sent`; then success.
     Seen: over the whole life of the session with writes disabled no command and no Sparkplug message; then one for each of them.
@@ -412,7 +414,7 @@ async def the_mqtt_guard_covers_every_write(run: Repetition, mqtt: Rig, mqtt_ro:
         ("node_death", {}),
     ]
     for operation, inputs in every:
-        if not mqtt.claims(operation):
+        if not (mqtt.claims(operation) and mqtt.expresses(operation, inputs)):
             continue
         reply = await mqtt_ro.call(operation, **inputs)
         run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
@@ -421,6 +423,10 @@ async def the_mqtt_guard_covers_every_write(run: Repetition, mqtt: Rig, mqtt_ro:
         run.succeeds(control)
         if control.success and not await mqtt.wait_for(kind="PUBLISH", direction="in", timeout_s=1.0):
             run.finding("not_written_once", f"{control.label}: the broker has seen no PUBLISH", "MQT-001")
+    commanded = exercise(mqtt).commanded
+    for asked in () if commanded is None else commanded(run.rng):
+        await guarded_command(run, mqtt_ro, asked)
+        await carried_out(run, mqtt, asked)
     await _session_wrote_nothing(run, mqtt_ro)
 
 
@@ -748,10 +754,12 @@ async def another_echo_is_no_confirmation(run: Repetition, modbus: Rig) -> None:
     Why: a confirmation of something else says that something else was done, or that an answer belongs to another request.
     """
     await modbus.prove()
-    other = {"value": 7, "count": 9, "address": 55}
     for asked in _every_write(run, modbus):
         if asked.operation == "write_tag":
             continue
+        # A coil has two values: a library need not tell apart what is neither.
+        coil = 0 if asked.inputs.get("value") is True else 0xFF00
+        other = {"value": 7, "coil": coil, "count": 9, "address": 55}
         # The answer to a mask write has no value of its own.
         for by_value in (False,) if asked.operation == "mask_write" else (True, False):
             await modbus.fault(*_other_echoes(other, by_value=by_value))
@@ -767,9 +775,11 @@ async def another_echo_is_no_confirmation(run: Repetition, modbus: Rig) -> None:
 def _other_echoes(other: Mapping[str, int], *, by_value: bool) -> list[Mapping[str, object]]:
     address = {"echo": {"address": other["address"]}}
     value = {"echo": {"value": other["value"]}} if by_value else address
+    coil = {"echo": {"value": other["coil"]}} if by_value else address
     count = {"echo": {"count": other["count"]}} if by_value else address
     return [
-        *({"function": function, "action": value} for function in (5, 6)),
+        {"function": 5, "action": coil},
+        {"function": 6, "action": value},
         *({"function": function, "action": count} for function in (15, 16)),
         {"function": 22, "action": address},
     ]

@@ -155,6 +155,9 @@ class Rig(WriteGate):
         """Tell whether the subject's named commands can express these inputs, where it performs the operation by them alone."""
         return not self.by_command_alone(operation) or self._is_bound(operation, inputs)
 
+    def _is_command(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        return any(case.command is not None and case.fits(inputs) for case in self.bindings(operation) or ())
+
     def _must_express(self, operation: str, inputs: Mapping[str, object]) -> None:
         if self.expresses(operation, inputs):
             return
@@ -216,7 +219,8 @@ class Rig(WriteGate):
         self._ledger.add(reply, inputs, role, reachable=there and self.running, altered=altered)
         if writes:
             self._after(reply)
-            if not there and not reply.success:
+            # What a command of few values has failed to send will be asked for again.
+            if not (there or reply.success or self._is_command(operation, inputs)):
                 self._cursor.note_failed(inputs)
         if not reply.answered:
             raise EndedError
