@@ -46,11 +46,11 @@ async def asked_of_the_device(at: Rig, asked: Asked, reply: Reply) -> Entries:
     return _since(reply, await at.journal())
 
 
-async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: str = "WR-014") -> None:
+async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: str | None = None) -> None:
     """Call a command, and expect success, one request with its effect, and nothing else at the device.
 
     Args:
-        requirement: id of the requirement that anything else breaks.
+        requirement: id of the requirement that anything else breaks; None is WR-001 to WR-003, depending on what it is.
     """
     await at.prove()
     before = await at.image()
@@ -63,11 +63,12 @@ async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: st
         message = (
             f"{reply.label}: the device should have seen its effect, {_effect(asked)}, once, it saw it {count} times"
         )
-        run.finding("not_written_once", message, requirement, evidence=protocols()[at.protocol].seen(seen))
+        broken = requirement or ("WR-003" if count else "WR-001")
+        run.finding("not_written_once", message, broken, evidence=protocols()[at.protocol].seen(seen))
     if asked.points:
         witness = Witness(noun="the device", describe=protocols()[at.protocol].describe)
         found = witness.only_changed(before, await at.image(), asked.points)
-        run.witnessed([replace(finding, requirement=requirement) for finding in found])
+        run.witnessed([replace(finding, requirement=requirement or finding.requirement) for finding in found])
 
 
 def _effect(asked: Asked) -> str:

@@ -14,12 +14,15 @@ __all__ = ["TASKS"]
 
 TASKS = Checks()
 
+_DRAWN = 5
+"""Calls of each command with values that are drawn at random."""
+
 
 @TASKS.every_protocol(
     "WR-014", "A named command does what the subject file states.", reads=False, writes=True, facets="commands"
 )
 async def commands_have_their_effect(run: Repetition, at: Rig) -> None:
-    """Call every named command with every value of a list, with both ends of a range and with a value within it.
+    """Call every named command with every value of a list, with the ends of a range, and with values drawn at random.
 
     Said: success.
     Seen: one request for each call, with the effect that the subject file states; where the device holds values, it holds these, and
@@ -27,15 +30,15 @@ async def commands_have_their_effect(run: Repetition, at: Rig) -> None:
     Why: an assistant knows a lamp or a pump by its name alone, and cannot see which register that is.
     """
     for asked in _every_command(run, at):
-        await carried_out(run, at, asked)
+        await carried_out(run, at, asked, requirement="WR-014")
 
 
 def _every_command(run: Repetition, at: Rig) -> list[Asked]:
-    """Return a call for each example of each command, as far as the schema of its tool allows it, and one with values drawn at random."""
+    """Return calls of each command, as far as the schemas of their tools allow them."""
     points_of = exercise_of(at).points_of
     every = [
         Asked(operation=operation, inputs=inputs, points=points_of(operation, inputs))
         for operation, command in at.commands()
-        for inputs in (*command.examples(), command.drawn(run.rng))
+        for inputs in (*command.examples(), *(command.drawn(run.rng) for _ in range(_DRAWN)))
     ]
     return [asked for asked in every if allowed(at, asked)]

@@ -61,8 +61,8 @@ class Draw:
         return self.means[index] if self.means else self.value(index)
 
     def ends(self) -> list[int]:
-        """Return the numbers of all values of a list, and of the ends of a range."""
-        return [*range(self.count)] if self.values else sorted({0, self.count - 1})
+        """Return the numbers of all values of a list, and of the first two and the last of a range."""
+        return [*range(self.count)] if self.values else sorted({0, min(1, self.count - 1), self.count - 1})
 
     def nearest(self, number: float) -> list[int]:
         """Return the numbers of the values that may mean this number at the device."""
@@ -100,7 +100,8 @@ class Command:
         return self._inputs({name: rng.randrange(draw.count) for name, draw in self.draws.items()})
 
     def examples(self) -> list[dict[str, Any]]:
-        """Return the operation's inputs for every value of a list and both ends of a range, each with the first values of the others."""
+        """Return the operation's inputs for every value of a list, and for the first two and the last of a range, each with the first values
+        of the other arguments."""
         first = dict.fromkeys(self.draws, 0)
         chosen = ({**first, name: index} for name, draw in self.draws.items() for index in draw.ends())
         found: list[dict[str, Any]] = []

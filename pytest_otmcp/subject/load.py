@@ -46,13 +46,20 @@ from .model import (
 )
 from .placeholder_check import check_placeholders
 
-__all__ = ["load_subject", "reference_subject"]
+__all__ = ["load_subject", "named_subject", "reference_subject"]
 
 
 @cache
 def reference_subject() -> Subject:
     """Load the description of the shipped reference adapters; it is a subject file like that of any vendor."""
     with resources.as_file(resources.files(__package__) / "reference.toml") as path:
+        return load_subject(path)
+
+
+@cache
+def named_subject() -> Subject:
+    """Load the description of the reference adapters with vocabularies of their own."""
+    with resources.as_file(resources.files(__package__) / "named.toml") as path:
         return load_subject(path)
 
 

@@ -161,12 +161,9 @@ class Rig(WriteGate):
     def _must_express(self, operation: str, inputs: Mapping[str, object]) -> None:
         if self.expresses(operation, inputs):
             return
-        names = " and ".join(f"{command.name!r}" for name, command in self.commands() if name == operation)
         if not any(finding.is_must for finding in self._ledger.findings):
             said = ", ".join(f"{name}={value!r}" for name, value in inputs.items())
-            self._ledger.inapplicable = (
-                f"{self.protocol}: the subject's {names} cannot express {operation} with {said:.200}"
-            )
+            self._ledger.inapplicable = f"no named command of the subject can express {operation} with {said:.60}"
         raise EndedError
 
     def _excess(self, operation: str, tool: str, arguments: Mapping[str, object]) -> str | None:
