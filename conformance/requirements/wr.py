@@ -377,10 +377,10 @@ async def the_opcua_guard_covers_every_write(run: Repetition, opcua: Rig, opcua_
     Why: a method moves the plant as a write does, and the write switch has to keep both out.
     """
     await _refused_then_written(run, opcua, opcua_ro)
-    if opcua.claims("call_method"):
-        rate = round(run.rng.uniform(1.0, 99.0), 3)
-        owner = opcua_oracle.folder_id(await opcua.image(), "Methods")
-        call: dict[str, Any] = {"object": owner, "method": "ns=2;s=SetProductionRate", "arguments": [rate]}
+    rate = round(run.rng.uniform(1.0, 99.0), 3)
+    owner = opcua_oracle.folder_id(await opcua.image(), "Methods")
+    call: dict[str, Any] = {"object": owner, "method": "ns=2;s=SetProductionRate", "arguments": [rate]}
+    if opcua.claims("call_method") and opcua.expresses("call_method", call):
         await _guarded(run, opcua_ro, "call_method", call)
         reply = await opcua.call("call_method", **call)
         run.succeeds(reply, requirement="OUA-001")
