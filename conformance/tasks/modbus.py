@@ -150,13 +150,11 @@ async def the_process_ends_with_its_stdin(run: Repetition, modbus: Rig) -> None:
     requirements="WR-001 WR-002 WR-003",
 )
 async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
-    """Write a holding register, and read it.
+    """Write a holding register, and read it; or call a named command, where the subject writes by these alone.
 
     Said: the value that was written, in both answers.
     Seen: one write of this value to this register; every other register stays as it was.
     Why: an adapter that says "written" may have written twice, beside the register, or not at all.
-
-    A subject that writes by named commands alone is asked for one of these.
     """
     if modbus.by_command_alone("write_holding"):
         await carried_out(run, modbus, some_command(run, modbus))
@@ -189,13 +187,12 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     requirements="WR-004 WR-005 ERR-006",
 )
 async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
-    """Write a register through the adapter that was started with writes disabled.
+    """Write a register, or call a named command where the subject writes by these alone, through the adapter that was started with
+    writes disabled.
 
     Said: a refusal with `writes_disabled` and the outcome `not_sent`.
     Seen: no request that changes the plant; the device holds what it held.
     Why: the write switch is what keeps an assistant's mistake out of the plant.
-
-    A subject that writes by named commands alone is asked for one of these.
     """
     if modbus_ro.by_command_alone("write_holding"):
         await guarded(run, modbus_ro, some_command(run, modbus_ro))

@@ -128,13 +128,11 @@ async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
     requirements="MQT-001 MQT-003 WR-003 WR-004 WR-005",
 )
 async def publish_control(run: Repetition, mqtt: Rig) -> None:
-    """Publish a command.
+    """Publish a command, or call a named one where the subject publishes by these alone.
 
     Said: success, the topic, and that QoS 0 is not acknowledged.
     Seen: this message once, as it was asked for, and no second one.
     Why: a command that is lost or sent twice is a movement that nobody ordered.
-
-    A subject that publishes by named commands alone is asked for one of these.
     """
     if mqtt.by_command_alone("publish"):
         await carried_out(run, mqtt, some_command(run, mqtt))

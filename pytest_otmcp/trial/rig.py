@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
+from ..core.verdict import INEXPRESSIBLE
 from ..protocols.bounds import Bounds
 from ..protocols.journal import ADAPTER, judged
 from ..protocols.protocol import Declared
@@ -163,7 +164,7 @@ class Rig(WriteGate):
             return
         if not any(finding.is_must for finding in self._ledger.findings):
             said = ", ".join(f"{name}={value!r}" for name, value in inputs.items())
-            self._ledger.inapplicable = f"no named command of the subject can express {operation} with {said:.60}"
+            self._ledger.inapplicable = f"{INEXPRESSIBLE} {operation} with {said:.60}"
         raise EndedError
 
     def _excess(self, operation: str, tool: str, arguments: Mapping[str, object]) -> str | None:
