@@ -19,7 +19,7 @@ from ..core.strict_json import same_json
 
 __all__ = ["LARGEST", "Command", "Draw", "is_computed", "is_number", "names_in"]
 
-_NUMBER = r"\d+(?:\.\d+)?"
+_NUMBER = r"\d{1,15}(?:\.\d{1,9})?"
 _WHOLE = re.compile(rf"\$(?P<name>\w+)(?: ?\* ?(?P<scale>-?{_NUMBER}))?(?: ?(?P<sign>[+-]) ?(?P<offset>{_NUMBER}))?")
 """A text that is one argument's value, or a number made from it, such as ``$percent * 10 + 5``."""
 _WITHIN = re.compile(r"\$([A-Za-z_]\w*)")
@@ -102,14 +102,22 @@ class Command:
     def examples(self) -> list[dict[str, Any]]:
         """Return the operation's inputs for every value of a list, and for the first two and the last of a range, each with the first values
         of the other arguments."""
+        return [self._inputs(indices) for indices in self._examples()]
+
+    def _examples(self) -> Iterator[dict[str, int]]:
         first = dict.fromkeys(self.draws, 0)
-        chosen = ({**first, name: index} for name, draw in self.draws.items() for index in draw.ends())
-        found: list[dict[str, Any]] = []
-        for indices in itertools.islice(itertools.chain((first,), chosen), _MOST_EXAMPLES):
-            inputs = self._inputs(indices)
-            if not any(same_json(inputs, known) for known in found):
-                found.append(inputs)
-        return found
+        others = ({**first, name: index} for name, draw in self.draws.items() for index in draw.ends() if index)
+        return itertools.islice(itertools.chain((first,), others), _MOST_EXAMPLES)
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether the arguments cannot be told from their effect."""
+        return any(
+            not same_json(self.arguments(self._inputs(indices)), self._values(indices)) for indices in self._examples()
+        )
+
+    def _values(self, indices: Mapping[str, int]) -> dict[str, Any]:
+        return {name: draw.value(indices[name]) for name, draw in self.draws.items()}
 
     def arguments(self, inputs: Mapping[str, object]) -> dict[str, Any] | None:
         """Return the values of the tool's arguments that ask for these inputs of the operation; None where none do."""
@@ -122,11 +130,7 @@ class Command:
                 value = _document(value)
             if not self._match(template, value, found):
                 return None
-        return (
-            {name: draw.value(found[name]) for name, draw in self.draws.items()}
-            if found.keys() >= self.draws.keys()
-            else None
-        )
+        return self._values(found) if found.keys() >= self.draws.keys() else None
 
     def pattern(self, name: str, wildcard: str) -> str:
         """Return the text of an input with a wildcard in the place of each level, between slashes, that an argument has a part in."""
@@ -231,7 +235,7 @@ def _computed(whole: re.Match[str], meaning: Any) -> Any:
 def _candidates(whole: re.Match[str], draw: Draw, value: Any) -> Iterator[int]:
     scale, offset = _factors(whole)
     # Beyond what a floating-point number holds nothing is drawn.
-    asked = (value - offset) / scale if is_number(value) and abs(value) < LARGEST else math.inf
+    asked = (value - offset) / scale if scale and is_number(value) and abs(value) < LARGEST else math.inf
     return (index for index in draw.nearest(asked) if same_json(_computed(whole, draw.meaning(index)), value))
 
 

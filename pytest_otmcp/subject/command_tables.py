@@ -69,7 +69,7 @@ def _command(
     check_placeholders(arguments, f"{key}.arguments", tuple(draws))
     documents = (one for one in described.documents if isinstance(effect.get(one), dict | list))
     command = Command(name=name, draws=draws, effect=effect, documents=tuple(documents))
-    if any(command.arguments(inputs) is None for inputs in command.examples()):
+    if command.is_ambiguous:
         raise Refusal(within, "two values of an argument are the same at the device, or run into one another in a text")
     binding = Binding(
         tool=table.get("tool", name),
