@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from pytest_otmcp.core.finding import Finding
@@ -65,10 +66,21 @@ async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: st
         )
         broken = requirement or ("WR-003" if count else "WR-001")
         run.finding("not_written_once", message, broken, evidence=protocols()[at.protocol].seen(seen))
+    elif shown := _sent_otherwise(at, asked, seen):
+        message = f"{reply.label}: the device should have seen one request with {dict(asked.sent)}, it saw {shown}"
+        run.finding("not_written_once", message, requirement or "WR-001", evidence=protocols()[at.protocol].seen(seen))
     if asked.points:
         witness = Witness(noun="the device", describe=protocols()[at.protocol].describe)
         found = witness.only_changed(before, await at.image(), asked.points)
         run.witnessed([replace(finding, requirement=requirement or finding.requirement) for finding in found])
+
+
+def _sent_otherwise(at: Rig, asked: Asked, entries: Entries) -> Mapping[str, object]:
+    """Return what the request of a call says beside the value, where it is not what was asked for."""
+    exercise = exercise_of(at)
+    said = None if exercise.says is None else exercise.says(exercise.done(entries, asked)[0])
+    shown = {} if said is None else {name: said[name] for name in asked.sent if name in said}
+    return {} if all(asked.sent[name] == value for name, value in shown.items()) else shown
 
 
 def _effect(asked: Asked) -> str:

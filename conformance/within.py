@@ -7,7 +7,7 @@ that keeps them, and what cannot keep them is not asked for.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -16,7 +16,7 @@ from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject.command import Command
 from pytest_otmcp.trial.rig import Rig
 
-__all__ = ["allowed", "within"]
+__all__ = ["allowed", "commanding", "within"]
 
 T = TypeVar("T")
 
@@ -57,8 +57,7 @@ def _by_command(at: Rig, exercise: Exercise) -> Exercise:
         return exercise
 
     def drawn(operation: str, command: Command, rng: random.Random) -> Asked:
-        inputs = command.drawn(rng)
-        return Asked(operation=operation, inputs=inputs, points=exercise.points_of(operation, inputs))
+        return commanding(at, exercise, operation, command.drawn(rng))
 
     def commanded(rng: random.Random) -> tuple[Asked, ...]:
         return tuple(drawn(*one, rng) for one in commands)
@@ -79,6 +78,18 @@ def _by_command(at: Rig, exercise: Exercise) -> Exercise:
         write=lambda rng: drawn(*most, rng),
         number=None,
         writes=exercise.changing or exercise.writes,
+    )
+
+
+def commanding(at: Rig, exercise: Exercise, operation: str, inputs: Mapping[str, Any]) -> Asked:
+    """Return the call of a named command that has these inputs of an operation as its effect."""
+    known = protocols()[at.protocol].operations[operation]
+    further = (*known.optional, *known.voluntary_inputs)
+    return Asked(
+        operation=operation,
+        inputs=inputs,
+        points=exercise.points_of(operation, inputs),
+        sent={name: inputs[name] for name in further if name in inputs},
     )
 
 

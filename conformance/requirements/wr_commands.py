@@ -8,7 +8,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 
 from ..commanded import carried_out, exercise_of
-from ..within import allowed
+from ..within import allowed, commanding
 
 __all__ = ["TASKS"]
 
@@ -35,9 +35,8 @@ async def commands_have_their_effect(run: Repetition, at: Rig) -> None:
 
 def _every_command(run: Repetition, at: Rig) -> list[Asked]:
     """Return calls of each command, as far as the schemas of their tools allow them."""
-    points_of = exercise_of(at).points_of
     every = [
-        Asked(operation=operation, inputs=inputs, points=points_of(operation, inputs))
+        commanding(at, exercise_of(at), operation, inputs)
         for operation, command in at.commands()
         for inputs in (*command.examples(), *(command.drawn(run.rng) for _ in range(_DRAWN)))
     ]

@@ -88,11 +88,21 @@ def test_what_a_command_cannot_express_does_not_apply(judge_foreign: Judge) -> N
     )
 
 
-def test_a_command_that_is_wrongly_described_is_a_finding(judge_foreign: Judge) -> None:
-    results = judge_foreign(
-        "modbus-valves", tasks="WR-014.modbus", described=('value = "$percent * 10"', 'value = "$percent * 5"')
-    )
-    assert failing(results) == {"WR-014.modbus"}
+@pytest.mark.parametrize(
+    ("name", "described"),
+    [
+        ("modbus-valves", ('value = "$percent * 10"', 'value = "$percent * 5"')),
+        ("modbus-valves", ("address = 40", "address = 41")),
+        ("mqtt-lights", ('payload = "RING"', 'payload = "RING", qos = 2')),
+        ("mqtt-lights", ('payload = "RING"', 'payload = "RING", retain = true')),
+        ("mqtt-lights", ('state = "ON"', 'state = "ON", transition = 1')),
+    ],
+)
+def test_what_differs_from_the_subject_file_is_a_finding(
+    judge_foreign: Judge, name: str, described: tuple[str, str]
+) -> None:
+    identifier = f"WR-014.{name.partition('-')[0]}"
+    assert failing(judge_foreign(name, tasks=identifier, described=described)) == {identifier}
 
 
 EVERYWHERE = foreign_subject("named-everywhere").adapters

@@ -5,12 +5,14 @@ from __future__ import annotations
 import base64
 import json
 import random
+from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 from ...core.strict_json import same_json
 from ..exercise import Asked, DeviceText, Exercise, Limited
 from ..journal import Entries, JournalEntry
-from .entries import messages, payload_of
+from .entries import as_mqtt, messages, payload_of
 
 __all__ = ["EXERCISE"]
 
@@ -58,6 +60,11 @@ def _has(said: object, stated: object) -> bool:
     if isinstance(stated, dict) and isinstance(said, dict):
         return all(name in said and _has(said[name], value) for name, value in stated.items())
     return same_json(said, stated)
+
+
+def _says(entry: JournalEntry) -> Mapping[str, Any] | None:
+    message = as_mqtt(entry)
+    return {"qos": message.get("qos"), "retain": bool(message.get("retain"))} if message["kind"] == "PUBLISH" else None
 
 
 def _fenced(rng: random.Random) -> tuple[Asked, ...]:
@@ -157,6 +164,7 @@ EXERCISE = Exercise(
         for topic in ("control/limited", "control/paced")
     },
     unauthorised=({"packet": "CONNECT", "action": {"reason_code": _NOT_AUTHORISED}},),
+    says=_says,
     outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
     device_texts=_device_texts,
 )
