@@ -132,6 +132,22 @@ class Command:
                 return None
         return self._values(found) if found.keys() >= self.draws.keys() else None
 
+    def effect_of(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the operation's inputs for these values of the arguments.
+
+        Raises:
+            LookupError: with the name of an argument whose value is none of those that are drawn.
+        """
+        indices = {}
+        for name, draw in self.draws.items():
+            value = arguments[name]
+            near = draw.nearest(value if is_number(value) and abs(value) < LARGEST else math.inf)
+            index = next((index for index in near if same_json(draw.value(index), value)), None)
+            if index is None:
+                raise LookupError(name)
+            indices[name] = index
+        return self._inputs(indices)
+
     def pattern(self, name: str, wildcard: str) -> str:
         """Return the text of an input with a wildcard in the place of each level, between slashes, that an argument has a part in."""
         levels = str(self.effect[name]).split("/")
