@@ -115,3 +115,15 @@ def test_named_commands_are_driven_on_every_protocol(judge_foreign: Judge, proto
     rows = "WR-003 WR-004 WR-005 WR-010 WR-014"
     results = judge_foreign("named-everywhere", tasks=" ".join(on(protocol, rows)))
     assert passing(results) == on(protocol, rows), words(results)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("protocol", [one for one in EVERYWHERE if one not in ("bacnet", "profibus")])
+def test_an_adapter_that_reads_by_operations_and_writes_by_commands_is_accused_of_nothing(
+    judge_foreign: Judge, protocol: str
+) -> None:
+    results = judge_foreign("named-everywhere", tasks=checks_of(protocol))
+    assert failing(results) == set(), words(results)
+    assert passing(results) >= on(
+        protocol, "MCP-004 MCP-005 ERR-001 ERR-005 ERR-007 TMO-003 REC-001 WR-001 WR-002 WR-014"
+    )
