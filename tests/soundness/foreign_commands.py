@@ -130,6 +130,9 @@ def mqtt_lights(lie: str | None, read_only: bool) -> Shape:
         link = Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]))
         try:
             link.open()
+            if lie == "never-waits":
+                link.client.publish(topic, payload, 1)
+                return
             link.publish(topic, payload, 1)
         finally:
             link.close()
