@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from ..protocols.protocol import OtProtocol
@@ -88,6 +89,14 @@ def _command(
 def _draws(table: Mapping[str, Any], key: str) -> dict[str, Draw]:
     draws = {name: _draw(draw, f"{key}.draws.{name}") for name, draw in table["draws"].items()}
     for name, meanings in table["means"].items():
+        if isinstance(meanings, list):
+            drawn = draws.get(name, Draw())
+            if len(drawn.values) != len(meanings):
+                raise Refusal(
+                    f"{key}.means.{name}", "expected as many values as the list of this argument in 'draws' has"
+                )
+            draws[name] = replace(drawn, means=tuple(meanings))
+            continue
         if name in draws:
             raise Refusal(f"{key}.means.{name}", "'draws' has values for this argument as well")
         if not meanings:

@@ -323,7 +323,9 @@ def command_table(protocol: OtProtocol) -> Table:
                 default={},
             ),
             "means": Key(
-                MapOf(_TABLE), "Argument to a table of its values, each with what it is at the device.", default={}
+                MapOf(ByType(list, ListOf(ANYTHING, "a list of values", least=1), _TABLE)),
+                "Argument to a table of its values, each with what it is at the device, or to a list of that for the values in 'draws'.",
+                default={},
             ),
             "effect": Key(
                 Table(effects, rules=(one,)), "What the device gets: an operation with its inputs.", required=True

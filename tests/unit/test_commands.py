@@ -81,6 +81,18 @@ def test_a_command_does_not_express_what_none_of_its_values_has_as_effect(load: 
     assert not only(load(), "write_holding").fits(inputs)
 
 
+def test_a_value_that_is_no_text_has_its_meaning_by_its_place_in_the_list(load: Load) -> None:
+    run = """
+draws = { on = [true, false] }
+means = { on = [0xFF, 0] }
+arguments = { on = "$on" }
+effect.write_holding = { address = 7, value = "$on" }
+"""
+    binding = only(load(run), "write_holding")
+    assert binding.fill({"address": 7, "value": 255}, {}) == {"on": True}
+    assert binding.fill({"address": 7, "value": 0}, {}) == {"on": False}
+
+
 def every_command() -> list[Any]:
     files = [named_subject().source, *Path(__file__).parents[1].glob("soundness/subjects/*.toml")]
     found = []
@@ -178,6 +190,12 @@ WRONG = {
     ),
     'draws.on = [1]\nmeans.on = { a = 1 }\narguments = { a = "$on" }\neffect.write_holding = { address = 1, value = "$on" }': (
         "commands.run.means.on: 'draws' has values for this argument as well"
+    ),
+    'draws.on = [1, 2]\nmeans.on = [5]\narguments = { a = "$on" }\neffect.write_holding = { address = 1, value = "$on" }': (
+        "commands.run.means.on: expected as many values as the list of this argument in 'draws' has"
+    ),
+    'means.on = [5]\narguments = { a = "$on" }\neffect.write_holding = { address = 1, value = "$on" }': (
+        "commands.run.means.on: expected as many values as the list of this argument in 'draws' has"
     ),
     'draws.on = { lowest = 3, highest = 1 }\narguments = { a = "$on" }\neffect.write_holding = { address = 1, value = "$on" }': (
         "commands.run.draws.on: expected a 'highest' that is not below 'lowest', and a 'step' above 0"

@@ -167,6 +167,7 @@ BY_KIT_ALONE = (
     "expected a 'highest' that is not below 'lowest'",
     "that every reader of JSON reads alike",
     "found an empty table",
+    "expected as many values as the list of this argument",
     "has this effect as well",
 )
 """Refusals beyond the schema: languages inside of strings, other files, rules about several tables, TOML's types."""
