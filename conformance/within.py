@@ -13,8 +13,7 @@ from typing import Any, TypeVar
 
 from pytest_otmcp.protocols.exercise import Asked, Contended, Exercise
 from pytest_otmcp.protocols.registry import protocols
-from pytest_otmcp.subject.command import Command
-from pytest_otmcp.trial.rig import Rig
+from pytest_otmcp.trial.rig import Command, Rig
 
 __all__ = ["allowed", "commanding", "within"]
 

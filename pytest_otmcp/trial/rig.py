@@ -28,7 +28,7 @@ from .limits import excess
 from .reply import Reply
 from .write_gate import EndedError, WriteGate
 
-__all__ = ["EndedError", "Entry", "Footprint", "FreshSession", "Rig", "adapter_name"]
+__all__ = ["Command", "EndedError", "Entry", "Footprint", "FreshSession", "Rig", "adapter_name"]
 
 T = TypeVar("T")
 
