@@ -24,6 +24,7 @@ _WHOLE = re.compile(rf"\$(?P<name>\w+)(?: ?\* ?(?P<scale>-?{_NUMBER}))?(?: ?(?P<
 """A text that is one argument's value, or a number made from it, such as ``$percent * 10 + 5``."""
 _WITHIN = re.compile(r"\$([A-Za-z_]\w*)")
 """An argument's value in the middle of a text."""
+_SMALLEST = 1e-9
 _DIGITS = 9
 """Decimal places of a number that is drawn or scaled: 0.1 * 3 is 0.3."""
 _MOST_EXAMPLES = 64
@@ -46,6 +47,13 @@ class Draw:
     lowest: float = 0
     highest: float = 0
     step: float = 1
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether there is such a list, or such a range."""
+        if self.values:
+            return len(self.means) in (0, len(self.values))
+        return self.step >= _SMALLEST and -LARGEST <= self.lowest <= self.highest <= LARGEST
 
     @property
     def count(self) -> int:
@@ -155,8 +163,14 @@ class Command:
 
     @classmethod
     def of_record(cls, stored: Mapping[str, Any]) -> Command:
-        """Return the command that a run record has."""
+        """Return the command that a run record has.
+
+        Raises:
+            ValueError: no subject file has such a range.
+        """
         draws = {name: Draw(**draw) for name, draw in stored["draws"].items()}
+        if not all(draw.is_possible for draw in draws.values()):
+            raise ValueError("a command draws from a range that there is not")
         return cls(**{**stored, "draws": draws})
 
     def _inputs(self, indices: Mapping[str, int]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..protocols.protocol import OtProtocol
 from .bindings import read_answering
-from .command import LARGEST, Command, Draw, is_computed, is_number, names_in
+from .command import Command, Draw, is_computed, is_number, names_in
 from .kinds import Refusal, nearest
 from .model import Answering, Binding, Function, placeholders
 from .placeholder_check import check_placeholders
@@ -109,11 +109,12 @@ def _draw(draw: Sequence[Any] | Mapping[str, Any], key: str) -> Draw:
     if isinstance(draw, list):
         return Draw(values=tuple(draw))
     assert isinstance(draw, Mapping)
+    found = Draw(lowest=draw["lowest"], highest=draw["highest"], step=draw["step"])
     if draw["step"] <= 0 or draw["highest"] < draw["lowest"]:
         raise Refusal(key, "expected a 'highest' that is not below 'lowest', and a 'step' above 0")
-    if max(abs(draw["lowest"]), abs(draw["highest"])) > LARGEST:
+    if not found.is_possible:
         raise Refusal(key, "expected numbers that every reader of JSON reads alike, up to 2 to the power of 53")
-    return Draw(lowest=draw["lowest"], highest=draw["highest"], step=draw["step"])
+    return found
 
 
 def _check_names(draws: Mapping[str, Draw], used: set[str], key: str, objection: str) -> None:

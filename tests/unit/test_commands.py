@@ -138,6 +138,18 @@ def test_a_record_keeps_commands(protocol: str) -> None:
             assert one.command.drawn(random.Random(7)) == other.command.drawn(random.Random(7))
 
 
+@pytest.mark.parametrize(
+    "change", [{"step": 0}, {"step": 1e-300}, {"highest": -1}, {"highest": 1e300}, {"values": [1], "means": [1, 2]}]
+)
+def test_a_record_with_a_range_that_there_is_not_is_unreadable(change: dict[str, Any]) -> None:
+    stored = json.loads(
+        json.dumps({"write_holding": stored_bindings(named_subject().adapters["modbus"], "write_holding")})
+    )
+    stored["write_holding"][0]["command"]["draws"]["percent"] |= change
+    with pytest.raises(ValueError, match="a range that there is not"):
+        restored_bindings(stored)
+
+
 def test_a_topic_of_a_command_is_a_command_topic() -> None:
     assert named_subject().adapters["mqtt"].lists["command_topics"] == ("home/+/set", "home/bell")
 
