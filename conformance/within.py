@@ -6,14 +6,16 @@ that keeps them, and what cannot keep them is not asked for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import random
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
 from pytest_otmcp.protocols.exercise import Asked, Contended, Exercise
-from pytest_otmcp.trial.rig import Rig
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.trial.rig import Command, Rig
 
-__all__ = ["allowed", "within"]
+__all__ = ["allowed", "commanding", "within"]
 
 T = TypeVar("T")
 
@@ -23,12 +25,74 @@ _DRAWS_OF_MANY = 500
 
 
 def allowed(at: Rig, asked: Asked) -> bool:
-    """Tell whether the schema of the tool allows a call."""
-    return at.excess(asked.operation, **asked.inputs) is None
+    """Tell whether the schema of the tool allows a call, and a named command can express it where the adapter has nothing else for it."""
+    return at.expresses(asked.operation, asked.inputs) and at.excess(asked.operation, **asked.inputs) is None
 
 
 def within(at: Rig, exercise: Exercise) -> Exercise:
-    """Return the exercise as far as the schemas of the adapter's tools allow it."""
+    """Return the exercise as far as the schemas of the adapter's tools allow it, by its named commands where it has some."""
+    return _narrowed(at, _by_command(at, _answered(at, exercise)))
+
+
+def _answered(at: Rig, exercise: Exercise) -> Exercise:
+    """Return the exercise with a status in the place of the read, for an adapter that has no read."""
+    if at.claims(exercise.reading):
+        return exercise
+    calls = (call for call in protocols()[at.protocol].proof.unreachable if at.claims(call.operation))
+    asked = next((call for call in calls if at.can_ask(call.operation, call.made(random.Random(0)))), None)
+    if asked is None:
+        return exercise
+    return replace(
+        exercise,
+        reading=asked.operation,
+        read=lambda rng: Asked(operation=asked.operation, inputs=asked.made(rng)),
+    )
+
+
+def _by_command(at: Rig, exercise: Exercise) -> Exercise:
+    """Return the exercise with writes by the named commands of the adapter; where it writes by nothing else, by them alone."""
+    commands = at.commands()
+    if not commands:
+        return exercise
+
+    def drawn(operation: str, command: Command, rng: random.Random) -> Asked:
+        return commanding(at, exercise, operation, command.drawn(rng))
+
+    def commanded(rng: random.Random) -> tuple[Asked, ...]:
+        return tuple(drawn(*one, rng) for one in commands)
+
+    every = exercise.every_write
+    found = replace(
+        exercise,
+        commanded=commanded,
+        every_write=every and (lambda rng: (*every(rng), *commanded(rng))),
+    )
+    if at.claims(exercise.writing) and not at.by_command_alone(exercise.writing):
+        return found
+    # Of many values no two are likely to be the same.
+    most = max(commands, key=lambda one: one[1].count)
+    return replace(
+        found,
+        writing=most[0],
+        write=lambda rng: drawn(*most, rng),
+        number=None,
+        writes=exercise.changing or exercise.writes,
+    )
+
+
+def commanding(at: Rig, exercise: Exercise, operation: str, inputs: Mapping[str, Any]) -> Asked:
+    """Return the call of a named command that has these inputs of an operation as its effect."""
+    known = protocols()[at.protocol].operations[operation]
+    further = (*known.optional, *known.voluntary_inputs)
+    return Asked(
+        operation=operation,
+        inputs=inputs,
+        points=exercise.points_of(operation, inputs),
+        sent={name: inputs[name] for name in further if name in inputs},
+    )
+
+
+def _narrowed(at: Rig, exercise: Exercise) -> Exercise:
     return replace(
         exercise,
         read=_one(exercise.read, lambda asked: allowed(at, asked)),
@@ -37,6 +101,7 @@ def within(at: Rig, exercise: Exercise) -> Exercise:
         every_read=exercise.every_read and _each(at, exercise.every_read),
         every_write=exercise.every_write and _each(at, exercise.every_write),
         tells=exercise.tells and _each(at, exercise.tells),
+        commanded=exercise.commanded and _each(at, exercise.commanded),
         large=exercise.large and _chosen(at, exercise.large, lambda asked: asked),
         floats={kind: read for kind, read in exercise.floats.items() if allowed(at, read(1.5))},
         bounds=exercise.bounds and _chosen(at, exercise.bounds, lambda pair: pair[0]),

@@ -15,8 +15,8 @@ AREAS = ("mcp", "env", "err", "rd", "wr", "adr", "enc", "con", "tmo", "rec", "mq
 """The areas in the order of the catalogue; each is a module here."""
 
 
-MODULES = (*AREAS, "adr_mqtt")
-"""The modules of the areas; one area has two."""
+MODULES = (*AREAS, "wr_commands", "adr_mqtt")
+"""The modules of the areas; two areas have two."""
 
 
 def modules() -> tuple[str, ...]:

@@ -274,7 +274,7 @@ async def _refused_connection(run: Repetition, at: Rig) -> str | None:
 # -- what may have happened -------------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("ERR-006", "What is said not to be sent never arrives.", writes=True, guard=True)
+@TASKS.every_protocol("ERR-006", "What is said not to be sent never arrives.", writes=True, guard=True, status=True)
 async def outcomes_are_true(run: Repetition, at: Rig, guarded: Rig) -> None:
     """Write without any argument, and through the write guard; write while the device does what it is asked and
     then resets the connection; write while the device is down, and start it. After each the device is watched.

@@ -16,9 +16,10 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from ..commanded import some_command
 from ..tasks.messages import collect, publish_from_kit, sync_point
 from .mqtt_steps import nonce, until, until_it_works
-from .steps import CONNECTION_FAULTS, citing, since
+from .steps import CONNECTION_FAULTS, answers_again, citing, exercise, since
 
 __all__ = ["TASKS"]
 
@@ -42,12 +43,16 @@ _MOST_READS = 120
 @TASKS.check("MQT-001", "A publication is a success when the broker has acknowledged it.", needs="mqtt.publish")
 async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
     """Publish with QoS 1 and 2 while the broker acknowledges late; while it ends the connection instead; with QoS 1 while it says
-    nothing; and with QoS 0 while it is away. Then publish again.
+    nothing; and with QoS 0 while it is away. Then publish again. A subject that publishes by named commands alone is asked for one of them
+    while the broker acknowledges late, ends the connection and says nothing.
 
     Said: success after the acknowledgement; failures of the connection with the outcome `unknown` or `not_sent`; success.
     Seen: for each success with QoS 1 the PUBACK, with QoS 2 the PUBCOMP, before the reply; the message itself once.
     Why: a library takes a message and says "fine" long before a broker has it, or never gets rid of it.
     """
+    if mqtt.by_command_alone("publish"):
+        await _commands_are_acknowledged(run, mqtt)
+        return
     for qos in _every_qos(mqtt):
         await mqtt.fault({"packet": "PUBLISH", "action": {"delay_s": _LATE_S}})
         payload, reply = await _publish(run, mqtt, qos)
@@ -61,6 +66,26 @@ async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
     await _unacknowledged(run, mqtt, 1, {"packet": "PUBLISH", "action": {"no_answer": True}})
     if mqtt.claims("recovery"):
         await _nobody_is_there(run, mqtt)
+
+
+async def _commands_are_acknowledged(run: Repetition, mqtt: Rig) -> None:
+    for action in ({"delay_s": _LATE_S}, {"reset": True}, {"no_answer": True}):
+        await mqtt.fault({"packet": "PUBLISH", "action": action})
+        asked = some_command(run, mqtt)
+        reply = await mqtt.call(asked.operation, **asked.inputs)
+        await mqtt.fault()
+        entries = await mqtt.journal()
+        for message in exercise(mqtt).done(since(reply, entries), asked)[:1]:
+            run.witnessed(_acknowledged(reply, entries, payload_of(message)))
+        if "delay_s" in action:
+            run.succeeds(reply, requirement="MQT-001")
+        elif not reply.success:
+            run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
+        reading = exercise(mqtt).read(run.rng)
+        if mqtt.can_ask(reading.operation, reading.inputs):
+            await answers_again(run, mqtt)
+        else:
+            await mqtt.fresh_session()
 
 
 def _every_qos(mqtt: Rig) -> tuple[int, ...]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from . import generated
 from .steps import CONNECTION_FAULTS, a_read_works, a_write_works, answers_again, exercise, read, write
 
 __all__ = [
@@ -42,10 +44,18 @@ async def wrongly_asked(run: Repetition, at: Rig) -> Reply | None:
     """Write without any argument; return None where no tool call is known that could be changed."""
     asked = exercise(at).write(run.rng)
     arguments = at.arguments_of(asked.operation, **asked.inputs)
-    if not arguments:
+    if not arguments or _may_be_left_out(at, asked, arguments):
         return None
     altered = Alteration(left_out=tuple(sorted(arguments.values())))
     return await at.call_altered(asked.operation, altered, **asked.inputs)
+
+
+def _may_be_left_out(at: Rig, asked: Asked, arguments: Mapping[str, str]) -> bool:
+    """Tell whether a named command needs none of its arguments: a light that is switched on is as bright as it was."""
+    tool = at.tool_of(asked.operation, **asked.inputs)
+    listing = at.listing(asked.operation, tool) if tool is not None and at.by_command_alone(asked.operation) else None
+    needed = None if listing is None else generated.required(listing.get("inputSchema"))
+    return needed is not None and not set(needed) & set(arguments.values())
 
 
 async def refused_by_the_adapter(run: Repetition, at: Rig) -> Reply | None:

@@ -17,6 +17,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from ..commanded import asked_of_the_device
 from ..within import within
 
 __all__ = [
@@ -146,7 +147,7 @@ async def a_write_works(run: Repetition, at: Rig, *, requirement: str | None = N
     """Write a random value, as the positive control beside what must be refused: said, and done once."""
     asked, reply = await write(run, at)
     run.succeeds(reply, requirement=requirement, **asked.outputs)
-    run.witnessed(written_once(at, asked, reply.during(await at.journal()), requirement=requirement))
+    run.witnessed(written_once(at, asked, await asked_of_the_device(at, asked, reply), requirement=requirement))
 
 
 def written_once(at: Rig, asked: Asked, entries: Entries, *, requirement: str | None = None) -> list[Finding]:

@@ -168,7 +168,7 @@ def _once(run: Repetition, at: Rig, reply: Reply, found: Sequence[JournalEntry])
         run.finding("repeated", message, "TMO-003", evidence=protocols()[at.protocol].seen(found))
 
 
-@TASKS.every_protocol("TMO-004", "A write whose answer did not come has an unknown outcome.", writes=True)
+@TASKS.every_protocol("TMO-004", "A write whose answer did not come has an unknown outcome.", writes=True, status=True)
 async def the_outcome_is_unknown(run: Repetition, at: Rig) -> None:
     """Write while the device takes the request and does not answer.
 

@@ -26,6 +26,8 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from ..commanded import carried_out
+from ..commanded import guarded as guarded_command
 from ..tasks.common import a_meaningless_switch_enables_nothing, each_fails, each_write
 from .steps import (
     CONNECTION_FAULTS,
@@ -199,7 +201,7 @@ async def a_modbus_write_changes_its_target_alone(run: Repetition, modbus: Rig) 
         for table in ("coils", "discrete_inputs"):
             values = [bool(run.rng.getrandbits(1)) for _ in range(60)]
             await modbus.poke(unit=unit, table=table, address=0, values=values)
-    for asked in _every_write(run, modbus):
+    for asked in (one for one in _every_write(run, modbus) if one.points):
         await _prepare(modbus, asked)
         await _changes_alone(run, modbus, asked.operation, asked.inputs, asked.points)
         if modbus.accepts_input(asked.operation, "unit") and asked.operation == "write_holding":
@@ -236,14 +238,16 @@ async def a_write_changes_its_target_alone(run: Repetition, at: Rig) -> None:
     """
     await at.prove()
     for asked in _every_write(run, at):
-        await _prepare(at, asked)
-        await _changes_alone(run, at, asked.operation, asked.inputs, asked.points)
+        # What a method changes, the subject file does not say.
+        if asked.points:
+            await _prepare(at, asked)
+            await _changes_alone(run, at, asked.operation, asked.inputs, asked.points)
 
 
 # -- WR-003 -------------------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("WR-003", "A write is sent once, whatever becomes of its answer.", writes=True)
+@TASKS.every_protocol("WR-003", "A write is sent once, whatever becomes of its answer.", writes=True, status=True)
 async def a_write_is_sent_once(run: Repetition, at: Rig) -> None:
     """Write; write while the device answers late; while it resets the connection instead; and while it never answers.
 
@@ -375,10 +379,10 @@ async def the_opcua_guard_covers_every_write(run: Repetition, opcua: Rig, opcua_
     Why: a method moves the plant as a write does, and the write switch has to keep both out.
     """
     await _refused_then_written(run, opcua, opcua_ro)
-    if opcua.claims("call_method"):
-        rate = round(run.rng.uniform(1.0, 99.0), 3)
-        owner = opcua_oracle.folder_id(await opcua.image(), "Methods")
-        call: dict[str, Any] = {"object": owner, "method": "ns=2;s=SetProductionRate", "arguments": [rate]}
+    rate = round(run.rng.uniform(1.0, 99.0), 3)
+    owner = opcua_oracle.folder_id(await opcua.image(), "Methods")
+    call: dict[str, Any] = {"object": owner, "method": "ns=2;s=SetProductionRate", "arguments": [rate]}
+    if opcua.claims("call_method") and opcua.expresses("call_method", call):
         await _guarded(run, opcua_ro, "call_method", call)
         reply = await opcua.call("call_method", **call)
         run.succeeds(reply, requirement="OUA-001")
@@ -388,8 +392,8 @@ async def the_opcua_guard_covers_every_write(run: Repetition, opcua: Rig, opcua_
 
 @TASKS.check("WR-004", "With writes disabled nothing is published.", needs="mqtt.publish mqtt.guard")
 async def the_mqtt_guard_covers_every_write(run: Repetition, mqtt: Rig, mqtt_ro: Rig) -> None:
-    """Publish a message, Sparkplug messages and Sparkplug commands by every operation that does so, with writes disabled; then the
-    same with writes enabled.
+    """Publish a message, Sparkplug messages and Sparkplug commands by every operation and every named command that does so, with
+    writes disabled; then the same with writes enabled.
 
     Said: refusals with `writes_disabled` and the outcome `not_sent`; then success.
     Seen: over the whole life of the session with writes disabled no command and no Sparkplug message; then one for each of them.
@@ -412,7 +416,7 @@ async def the_mqtt_guard_covers_every_write(run: Repetition, mqtt: Rig, mqtt_ro:
         ("node_death", {}),
     ]
     for operation, inputs in every:
-        if not mqtt.claims(operation):
+        if not (mqtt.claims(operation) and mqtt.expresses(operation, inputs)):
             continue
         reply = await mqtt_ro.call(operation, **inputs)
         run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
@@ -421,6 +425,10 @@ async def the_mqtt_guard_covers_every_write(run: Repetition, mqtt: Rig, mqtt_ro:
         run.succeeds(control)
         if control.success and not await mqtt.wait_for(kind="PUBLISH", direction="in", timeout_s=1.0):
             run.finding("not_written_once", f"{control.label}: the broker has seen no PUBLISH", "MQT-001")
+    commanded = exercise(mqtt).commanded
+    for asked in () if commanded is None else commanded(run.rng):
+        await guarded_command(run, mqtt_ro, asked)
+        await carried_out(run, mqtt, asked)
     await _session_wrote_nothing(run, mqtt_ro)
 
 
@@ -436,7 +444,9 @@ def _nothing_published(reply: Reply, entries: Entries) -> list[Finding]:
     return []
 
 
-@TASKS.every_protocol("WR-005", "A write switch that means nothing enables nothing.", writes=True, guard=True)
+@TASKS.every_protocol(
+    "WR-005", "A write switch that means nothing enables nothing.", writes=True, guard=True, status=True
+)
 async def a_meaningless_switch(run: Repetition, at: Rig, guarded: Rig) -> None:
     """Write with writes disabled; with writes enabled; and through an adapter that was started with a write switch that means
     nothing.
@@ -746,10 +756,12 @@ async def another_echo_is_no_confirmation(run: Repetition, modbus: Rig) -> None:
     Why: a confirmation of something else says that something else was done, or that an answer belongs to another request.
     """
     await modbus.prove()
-    other = {"value": 7, "count": 9, "address": 55}
     for asked in _every_write(run, modbus):
         if asked.operation == "write_tag":
             continue
+        # A coil has two values: a library need not tell apart what is neither.
+        coil = 0 if asked.inputs.get("value") is True else 0xFF00
+        other = {"value": 7, "coil": coil, "count": 9, "address": 55}
         # The answer to a mask write has no value of its own.
         for by_value in (False,) if asked.operation == "mask_write" else (True, False):
             await modbus.fault(*_other_echoes(other, by_value=by_value))
@@ -765,9 +777,11 @@ async def another_echo_is_no_confirmation(run: Repetition, modbus: Rig) -> None:
 def _other_echoes(other: Mapping[str, int], *, by_value: bool) -> list[Mapping[str, object]]:
     address = {"echo": {"address": other["address"]}}
     value = {"echo": {"value": other["value"]}} if by_value else address
+    coil = {"echo": {"value": other["coil"]}} if by_value else address
     count = {"echo": {"count": other["count"]}} if by_value else address
     return [
-        *({"function": function, "action": value} for function in (5, 6)),
+        {"function": 5, "action": coil},
+        {"function": 6, "action": value},
         *({"function": function, "action": count} for function in (15, 16)),
         {"function": 22, "action": address},
     ]
@@ -780,7 +794,7 @@ _WATCHED_S = {False: 2.5, True: 60.0}
 """Seconds for which nothing of it must arrive, in the short and in the long form: also what a timer of two seconds sends."""
 
 
-@TASKS.every_protocol("WR-010", "What failed is not carried out later.", writes=True, facets="recovery")
+@TASKS.every_protocol("WR-010", "What failed is not carried out later.", writes=True, facets="recovery", status=True)
 async def what_failed_is_not_made_up_for(run: Repetition, at: Rig) -> None:
     """Write twice while the device is away: before the adapter has noticed that, and after; and once by every other operation that
     writes. Read when it is back.

@@ -15,6 +15,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
+from ..commanded import carried_out, guarded, some_command
 from .common import (
     NOTHING_SENT,
     QUIET_S,
@@ -149,12 +150,15 @@ async def the_process_ends_with_its_stdin(run: Repetition, modbus: Rig) -> None:
     requirements="WR-001 WR-002 WR-003",
 )
 async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
-    """Write a holding register, and read it.
+    """Write a holding register, and read it; or call a named command, where the subject writes by these alone.
 
     Said: the value that was written, in both answers.
     Seen: one write of this value to this register; every other register stays as it was.
     Why: an adapter that says "written" may have written twice, beside the register, or not at all.
     """
+    if modbus.by_command_alone("write_holding"):
+        await carried_out(run, modbus, some_command(run, modbus))
+        return
     value = 40 + run.rep
     # Guard cells on both sides: a write to, or a read from, a neighbouring register cannot pass.
     await modbus.poke(unit=1, table="holding_registers", address=0, values=[0xFFFF - value])
@@ -183,12 +187,16 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     requirements="WR-004 WR-005 ERR-006",
 )
 async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
-    """Write a register through the adapter that was started with writes disabled.
+    """Write a register, or call a named command where the subject writes by these alone, through the adapter that was started with
+    writes disabled.
 
     Said: a refusal with `writes_disabled` and the outcome `not_sent`.
     Seen: no request that changes the plant; the device holds what it held.
     Why: the write switch is what keeps an assistant's mistake out of the plant.
     """
+    if modbus_ro.by_command_alone("write_holding"):
+        await guarded(run, modbus_ro, some_command(run, modbus_ro))
+        return
     before = await modbus_ro.image()
     reply = await modbus_ro.call("write_holding", address=1, value=999)
     run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
@@ -206,6 +214,9 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
     Said: a refusal with `writes_disabled` and the outcome `not_sent`, unless the adapter refuses to start so.
     Seen: over the whole life of the read-only sessions, their end included, nothing that changes the plant.
     """
+    if modbus.by_command_alone("write_holding"):
+        await the_guard_of_commands_was_put_to_the_test(run, modbus, modbus_ro)
+        return
     # The refusal only proves the guard if the read-only session reaches its device and the same call works without the guard.
     read = await modbus_ro.call("read_holding", address=1, count=1)
     run.succeeds(read)
@@ -219,6 +230,17 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
     await modbus_ro.close_session()
     run.witnessed(oracle.nothing_changed_by(await modbus_ro.follow(StateChanges)))
     await a_meaningless_switch_enables_nothing(run, modbus_ro, "write_holding", address=1, value=999)
+
+
+async def the_guard_of_commands_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro: Rig) -> None:
+    """Do the same with a named command."""
+    asked = some_command(run, modbus)
+    run.succeeds(await modbus_ro.call("read_holding", address=1, count=1))
+    run.witnessed(oracle.some_exchange(await modbus_ro.journal()))
+    await carried_out(run, modbus, asked)
+    await modbus_ro.close_session()
+    run.witnessed(oracle.nothing_changed_by(await modbus_ro.follow(StateChanges)))
+    await a_meaningless_switch_enables_nothing(run, modbus_ro, asked.operation, **asked.inputs)
 
 
 @TASKS.task(

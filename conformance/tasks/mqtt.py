@@ -16,6 +16,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
+from ..commanded import carried_out, nothing_sent, some_command
 from .common import (
     QUIET_S,
     RAPID_CALLS,
@@ -127,12 +128,15 @@ async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
     requirements="MQT-001 MQT-003 WR-003 WR-004 WR-005",
 )
 async def publish_control(run: Repetition, mqtt: Rig) -> None:
-    """Publish a command.
+    """Publish a command, or call a named one where the subject publishes by these alone.
 
     Said: success, the topic, and that QoS 0 is not acknowledged.
     Seen: this message once, as it was asked for, and no second one.
     Why: a command that is lost or sent twice is a movement that nobody ordered.
     """
+    if mqtt.by_command_alone("publish"):
+        await carried_out(run, mqtt, some_command(run, mqtt))
+        return
     payload = json.dumps({"pump_speed": 50 + run.rep})
     reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
     qos = mqtt.expected_if_accepted("publish", "qos", 0)
@@ -154,6 +158,11 @@ async def nothing_is_published_with_writes_disabled(run: Repetition, mqtt_ro: Ri
     Said: a refusal with `writes_disabled` and the outcome `not_sent`; the second may refuse to start instead.
     Seen: no command over the whole life of these sessions.
     """
+    if mqtt_ro is not None and mqtt_ro.by_command_alone("publish"):
+        asked = some_command(run, mqtt_ro)
+        await guarded_publish(run, mqtt_ro, partial(nothing_sent, mqtt_ro), asked.operation, **asked.inputs)
+        await a_meaningless_switch_enables_nothing(run, mqtt_ro, asked.operation, **asked.inputs)
+        return
     witness = partial(oracle.not_published, payload=b"guarded", requirement="WR-004")
     command = {"topic": "control/pump", "payload": "guarded", "qos": 0}
     await guarded_publish(run, mqtt_ro, witness, "publish", **command)

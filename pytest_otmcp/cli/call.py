@@ -6,7 +6,7 @@ import argparse
 import json
 import shutil
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +54,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--variant", choices=("rw", "ro"), default="rw", help="with writes enabled or disabled (default: rw)"
     )
-    parser.add_argument("operation", metavar="OPERATION", help="an operation of the protocol, such as read")
+    parser.add_argument(
+        "operation", metavar="OPERATION", help="an operation of the protocol, such as read, or a named command"
+    )
     parser.add_argument("inputs", metavar="KEY=VALUE", nargs="*", help="its inputs")
     parser.set_defaults(run=run)
 
@@ -73,15 +75,12 @@ def run(args: argparse.Namespace) -> int:
 
     source = named_or_here(args.subject)
     subject = reference_subject() if source is None else load_subject(source)
-    adapter = _adapter(subject, args.operation, args.protocol, args.inputs)
-    protocol = protocols()[adapter.protocol]
-    if source is None and (missing := missing_library(protocol)):
-        raise UsageError(f"{protocol.name}: {missing}")
-    inputs = _inputs(args.operation, protocol.operations[args.operation], args.inputs)
-    _check_filling(adapter, args.operation, inputs)
+    adapter, operation, inputs = _asked(subject, args)
+    if source is None and (missing := missing_library(protocols()[adapter.protocol])):
+        raise UsageError(f"{protocols()[adapter.protocol].name}: {missing}")
     loop = LoopThread()
     try:
-        reply, entries = loop.run(_perform(adapter, args.variant, args.operation, inputs))
+        reply, entries = loop.run(_perform(adapter, args.variant, operation, inputs))
     except SubjectError as failure:
         doctor = "otmcp doctor" + ("" if args.subject is None else f" --subject={args.subject}")
         raise Refusal(f"{adapter.protocol} ('{doctor}' may know why): {failure}", quotes=True) from None
@@ -95,6 +94,41 @@ def run(args: argparse.Namespace) -> int:
 # -- what is asked ----------------------------------------------------------------------------------------------
 
 
+def _asked(subject: Subject, args: argparse.Namespace) -> tuple[Adapter, str, dict[str, object]]:
+    """Return the adapter, the operation and its inputs that are asked for, also by the name of a command.
+
+    Raises:
+        UsageError: there is nothing of this name, it takes other values, or no tool is bound to it.
+    """
+    for adapter in subject.adapters.values():
+        if args.protocol in (None, adapter.protocol) and args.operation in adapter.commands:
+            operation = adapter.commands[args.operation]
+            return adapter, operation, _effect(adapter, operation, args.operation, args.inputs)
+    adapter = _adapter(subject, args.operation, args.protocol, args.inputs)
+    inputs = _inputs(args.operation, protocols()[adapter.protocol].operations[args.operation], args.inputs)
+    _check_filling(adapter, args.operation, inputs)
+    return adapter, args.operation, inputs
+
+
+def _effect(adapter: Adapter, operation: str, name: str, words: Sequence[str]) -> dict[str, object]:
+    """Return the inputs of the operation that a command performs, for its arguments, which are written as KEY=VALUE.
+
+    Raises:
+        UsageError: it draws other values.
+    """
+    bound = adapter.operations[operation]
+    cases = () if isinstance(bound, Function) else bound
+    command = next(case.command for case in cases if case.command is not None and case.command.name == name)
+    values = _words(name, words, command.draws, "argument")
+    if missing := [key for key in command.draws if key not in values]:
+        raise UsageError(f"{name}: {' and '.join(missing)} must be given, as {missing[0]}=VALUE")
+    try:
+        return command.effect_of(values)
+    except LookupError as error:
+        key = error.args[0]
+        raise UsageError(f"{name}: the command does not draw {values[key]!r} for {key}") from None
+
+
 def _adapter(subject: Subject, operation: str, protocol: str | None, words: Sequence[str]) -> Adapter:
     """Return the adapter that the operation is for; of several the one whose operation has the inputs that are written.
 
@@ -106,7 +140,7 @@ def _adapter(subject: Subject, operation: str, protocol: str | None, words: Sequ
     asked = [protocol] if protocol is not None else list(subject.adapters)
     able = [key for key in asked if operation in protocols()[key].operations]
     if not able:
-        known = {name for key in asked for name in protocols()[key].operations}
+        known = {name for key in asked for name in (*protocols()[key].operations, *subject.adapters[key].commands)}
         raise UsageError(describe_unknown("operation", operation, known))
     named = {word.partition("=")[0] for word in words}
     fitting = [key for key in able if named <= {*protocols()[key].operations[operation].accepted}] or able
@@ -121,19 +155,32 @@ def _inputs(name: str, operation: Operation, words: Sequence[str]) -> dict[str, 
     Raises:
         UsageError: a word has another form, or the operation has other inputs.
     """
-    inputs: dict[str, object] = {}
+    inputs = _words(name, words, operation.accepted, "input")
+    if missing := [key for key in operation.inputs if key not in inputs and key not in operation.optional]:
+        raise UsageError(f"{name}: {' and '.join(missing)} must be given, as {missing[0]}=VALUE")
+    return inputs
+
+
+def _words(name: str, words: Sequence[str], known: Collection[str], noun: str) -> dict[str, object]:
+    """Return the values that are written as KEY=VALUE, by key.
+
+    Args:
+        noun: what a key is.
+
+    Raises:
+        UsageError: a word has another form, or another key.
+    """
+    values: dict[str, object] = {}
     for word in words:
         key, found, value = word.partition("=")
         if not found:
             raise UsageError(f"{name}: expected KEY=VALUE, found {word!r}")
-        if key not in operation.accepted:
-            raise UsageError(f"{name}: {describe_unknown('input', key, operation.accepted)}")
-        if key in inputs:
+        if key not in known:
+            raise UsageError(f"{name}: {describe_unknown(noun, key, known)}")
+        if key in values:
             raise UsageError(f"{name}: {key} is given twice")
-        inputs[key] = _value(value)
-    if missing := [key for key in operation.inputs if key not in inputs and key not in operation.optional]:
-        raise UsageError(f"{name}: {' and '.join(missing)} must be given, as {missing[0]}=VALUE")
-    return inputs
+        values[key] = _value(value)
+    return values
 
 
 def _check_filling(adapter: Adapter, operation: str, inputs: Mapping[str, object]) -> None:
@@ -148,7 +195,7 @@ def _check_filling(adapter: Adapter, operation: str, inputs: Mapping[str, object
     binding = next((case for case in bound or () if case.fits(inputs)), None)
     if binding is None:
         raise UsageError(f"{adapter.protocol}: the subject binds no tool to {operation} with these inputs")
-    if binding.resource:
+    if binding.resource or binding.command is not None:
         return
     voluntary = protocols()[adapter.protocol].operations[operation].voluntary_inputs
     if lacking := sorted(placeholders(binding.arguments) - {*inputs, *voluntary}):

@@ -24,6 +24,7 @@ from typing import Protocol
 from .errors import UsageError
 
 __all__ = [
+    "INEXPRESSIBLE",
     "DeviationReport",
     "ExitCode",
     "KnownDeviation",
@@ -33,6 +34,9 @@ __all__ = [
     "exit_code",
     "judge_deviations",
 ]
+
+INEXPRESSIBLE = "no named command of the subject can express"
+"""Beginning of the reason for which an item does not apply that asks for a write which only other adapters can make."""
 
 
 class Status(StrEnum):

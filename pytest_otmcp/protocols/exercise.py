@@ -163,6 +163,10 @@ class DeviceText:
     then: Asked | None = None
 
 
+def _no_points(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
+    return {}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exercise:
     """What checks for every protocol do on this one.
@@ -210,6 +214,10 @@ class Exercise:
         commands: makes writes that say more than a value; an adapter may refuse what it does not offer. None where there are none.
         says: returns what a request of ``commands`` says, by name; None for another request.
         asks_for: returns what a request that writes asks for, as the values of ``contended`` are; None for another request.
+        points_of: returns the points that the device's image holds after a write, from the operation and its inputs; none where the device
+            has no such image, or where that cannot be told from the inputs alone.
+        changing: the conditions of a fault plan that any request meets which changes the plant; empty where those are ``writes``.
+        commanded: makes a write by every named command of the subject; None for a subject without.
     """
 
     reading: str
@@ -245,14 +253,17 @@ class Exercise:
     real: Callable[[float], Asked] | None = None
     texts: Texts | None = None
     device_texts: Callable[[str], tuple[DeviceText, ...]] | None = None
+    points_of: Callable[[str, Mapping[str, Any]], Mapping[str, object]] = _no_points
+    changing: tuple[Rule, ...] = ()
+    commanded: Callable[[random.Random], tuple[Asked, ...]] | None = None
 
     def each_write(self, rng: random.Random) -> list[Asked]:
-        """Return one write by each operation that writes, that of ``write`` first."""
+        """Return one write by each operation that writes, that of ``write`` first, and by each named command."""
         found = {self.writing: self.write(rng)}
         for makes in (self.every_write, self.tells):
             for asked in makes(rng) if makes else ():
                 found.setdefault(asked.operation, asked)
-        return list(found.values())
+        return [*found.values(), *(self.commanded(rng) if self.commanded else ())]
 
 
 def every_change(entries: Entries, asked: Asked) -> list[JournalEntry]:

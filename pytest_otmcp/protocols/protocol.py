@@ -23,9 +23,11 @@ from .stamp import Stamp
 __all__ = [
     "ANY_READ",
     "BOUNDS",
+    "COMMANDS",
     "CONTROL_GUARD",
     "GUARD",
     "LAUNCHES",
+    "READ_OR_STATUS",
     "RECOVERY",
     "Choice",
     "Colour",
@@ -50,11 +52,18 @@ BOUNDS = "bounds"
 LAUNCHES: Mapping[str, str] = {GUARD: "ro", CONTROL_GUARD: "no_control", BOUNDS: "bounded"}
 """Facets that are launches of their own, to the variant of the adapter that has the facet."""
 
+COMMANDS = "commands"
+"""Facet: the adapter has tools with a vocabulary of their own, whose effect on the device the subject file states."""
+
 RECOVERY = "recovery"
 """Facet: after an outage of the endpoint the same session works again."""
 
 ANY_READ = "any_read"
 """Facet that tasks need: one of the operations that the device itself has to answer, whichever the subject has."""
+
+READ_OR_STATUS = "read_or_status"
+"""Facet that checks need: the operation that the exercise reads with, or else one of :data:`ANY_READ`: whether the device answers again is
+all that they read for."""
 
 
 Declared = Mapping[str, Sequence[str]]
@@ -88,6 +97,7 @@ class Operation:
             Where a call does not give one, the argument that stands for it is left out.
         voluntary_outputs: further outputs, each a facet that is claimed by saying where it is.
         defaults: values of voluntary inputs for a tool whose schema requires the argument that stands for them.
+        documents: inputs that are texts, and that the effect of a named command may state as a JSON document.
     """
 
     meaning: str
@@ -106,6 +116,7 @@ class Operation:
     voluntary_inputs: tuple[str, ...] = ()
     voluntary_outputs: tuple[str, ...] = ()
     defaults: Mapping[str, object] = field(default_factory=dict)
+    documents: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.requirement:
@@ -222,6 +233,10 @@ def _any_answer(kind: str, asked: str) -> bool:
     return True
 
 
+def _declares_nothing(operation: str, effect: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
+    return {}
+
+
 def _no_stamps(entries: Entries) -> Iterable[Stamp]:
     return ()
 
@@ -240,6 +255,8 @@ class OtProtocol:
         probes: values that tasks ask for where the request must be refused; a subject file may replace each.
         choices: keys that the protocol adds to a subject file.
         lists: further keys in a subject file whose values are lists of strings, each with its meaning.
+        declares: returns what a named command adds to these lists, from the operation that it performs and the texts of its effect, with
+            ``+`` in the place of each level, between slashes, that an argument has a part in.
         framing: decoding of recorded bytes; None when only the mock can be the witness.
         unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
             asked for nothing.
@@ -299,6 +316,7 @@ class OtProtocol:
     probes: Mapping[str, object] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()
     lists: Mapping[str, str] = field(default_factory=dict)
+    declares: Callable[[str, Mapping[str, str]], Mapping[str, Sequence[str]]] = _declares_nothing
     framing: Framing | None = None
     onboarding: str | None = None
     title: Callable[[JournalEntry], str] | None = None
@@ -327,7 +345,7 @@ class OtProtocol:
     @property
     def facets(self) -> tuple[str, ...]:
         """Facets that an adapter for this protocol may claim or not."""
-        names = [GUARD, RECOVERY, BOUNDS]
+        names = [GUARD, RECOVERY, BOUNDS, COMMANDS]
         names += [CONTROL_GUARD] if self.controls else []
         for name, operation in self.operations.items():
             names += [name, *(f"{name}.{optional}" for optional in operation.optional)]
@@ -337,8 +355,8 @@ class OtProtocol:
         return tuple(names)
 
     def is_voluntary(self, facet: str) -> bool:
-        """Tell whether only a binding, or a launch, claims this facet: nothing is said of a subject that does not have one."""
-        if facet in (BOUNDS, CONTROL_GUARD):
+        """Tell whether only a binding, a launch or a named command claims this facet: nothing is said of a subject that has none."""
+        if facet in (BOUNDS, COMMANDS, CONTROL_GUARD):
             return True
         name, _, part = facet.partition(".")
         operation = self.operations.get(name)
@@ -365,6 +383,8 @@ class OtProtocol:
 
     def alternatives(self, facet: str, waiting: Collection[str]) -> tuple[str, ...]:
         """Return the facets of which a task needs any one, the best first; none where ``facet`` leaves no choice."""
+        if facet == READ_OR_STATUS and self.exercise is not None:
+            return tuple(dict.fromkeys((self.exercise.reading, *self.alternatives(ANY_READ, waiting))))
         if facet != ANY_READ:
             return self.composites[facet].one_of if facet in self.composites else ()
         # A call that does not wait for messages returns what came before, so the device need not be there.

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timedelta
 
 from ..core.matrix import REQUIREMENTS, SUITES, repetitions
-from ..core.verdict import Status, Verdict, decide
+from ..core.verdict import INEXPRESSIBLE, Status, Verdict, decide
 from .schema import COUNTED, ROLES, Call, Counted, Footer, Header, Item, ItemHead, Sample, Settings
 from .warnings import failing
 
@@ -46,8 +46,9 @@ def count_calls(items: Iterable[Item]) -> dict[Counted, int]:
 
 
 def inapplicable_by_steps(item: ItemHead) -> bool:
-    """Tell whether the steps of a check found nothing to judge: they ran, and playing them back shows the same."""
-    return item["suite"] == REQUIREMENTS and item["status"] == Status.NOT_APPLICABLE and bool(item["devices"])
+    """Tell whether the steps of an item found nothing to judge: they ran, and playing them back shows the same."""
+    may = item["suite"] == REQUIREMENTS or (item["reason"] or "").startswith(INEXPRESSIBLE)
+    return may and item["status"] == Status.NOT_APPLICABLE and bool(item["devices"])
 
 
 class RunChecker:

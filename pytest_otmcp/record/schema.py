@@ -160,6 +160,25 @@ class StoredAnswering(TypedDict):
     errors: list[StoredErrorRule]
 
 
+class StoredDraw(TypedDict):
+    """The values that the kit may give an argument of a named command; see the subject file."""
+
+    values: list[Any]
+    means: list[Any]
+    lowest: float
+    highest: float
+    step: float
+
+
+class StoredCommand(TypedDict):
+    """The effect of a named command; see the subject file."""
+
+    name: str
+    draws: dict[str, StoredDraw]
+    effect: dict[str, Any]
+    documents: list[str]
+
+
 class StoredBinding(TypedDict):
     """The way in which one tool performs an operation, or one case of it; see the subject file."""
 
@@ -174,6 +193,7 @@ class StoredBinding(TypedDict):
     names: dict[str, dict[str, Any]]
     convert: dict[str, str]
     max_age_s: NotRequired[float | None]
+    command: NotRequired[StoredCommand | None]
 
 
 class ToolListing(TypedDict):
@@ -215,7 +235,8 @@ class AdapterFacts(TypedDict):
     ``lists``: the lists of the protocol's own keys.
     ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
     ``lacks``: optional inputs that no tool takes. ``offered``: voluntary facets that bindings and launches claim; absent where there are none.
-    ``bounds``: what it was told to allow, where the subject file says so.
+    ``bounds``: what it was told to allow, where the subject file says so. ``commands``: its named commands, each with the operation that it
+    performs; absent where there are none.
     ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
     envelope that its own answers do not meet. ``listing``: every tool that was called by a binding. ``unjudged``: outputs that the
@@ -238,6 +259,7 @@ class AdapterFacts(TypedDict):
     lacks: list[str]
     offered: NotRequired[list[str]]
     bounds: NotRequired[BoundsTold]
+    commands: NotRequired[dict[str, str]]
     probes: dict[str, Any]
     bindings: dict[str, list[StoredBinding] | None]
     unjudged: list[str]

@@ -22,6 +22,7 @@ from ..core.finding import Finding
 from ..core.strict_json import same_json
 from ..record.redaction import REDACTED
 from ..session.exchange import Exchange
+from ..subject.command import Command
 from ..subject.model import READ_WRITE, Answering, Binding, ErrorRule, OutcomeRule, OutputRule
 from ..trial.alteration import Alteration
 from ..trial.reply import Expectation, Reply, observe, replace_outputs
@@ -53,7 +54,8 @@ def _binding(case: Mapping[str, Any]) -> Binding:
             errors=tuple(ErrorRule(**rule) for rule in answering["errors"]),
         ),
     }
-    return Binding(**{**case, **rules})
+    command = case.get("command")
+    return Binding(**{**case, **rules, "command": None if command is None else Command.of_record(command)})
 
 
 def recorded_reply(

@@ -43,6 +43,7 @@ class Defect:
         waits: deadlines are shortened, because the suite waits for what never comes.
         cold: it is started as users start adapters, not forked from a process that is warm.
         sample: it is run where no defects are named.
+        named: the adapter is the reference adapter with a vocabulary of its own.
     """
 
     id: str
@@ -55,6 +56,7 @@ class Defect:
     waits: bool
     cold: bool
     sample: bool
+    named: bool = False
 
     @property
     def catalogue_id(self) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from ..core.verdict import Status
 from ..plant.devices import Plant
 from ..record.schema import Sample
-from ..subject import reference_subject
+from ..subject import named_subject, reference_subject
 from ..suite.catalogue import all_tasks
 from ..trial.bench import Bench
 from ..trial.live_driver import LiveDriver
@@ -53,7 +53,7 @@ async def judge(plant: Plant, warm: WarmStart, defect: Defect) -> Seen:
     """
     program = ("-P", "-m", DEFECTS, defect.id)
     command = (sys.executable, *program) if defect.cold else (*warm.python, *program)
-    genuine = sooner(reference_subject(), _SOONER, whole_calls=defect.waits)
+    genuine = sooner(named_subject() if defect.named else reference_subject(), _SOONER, whole_calls=defect.waits)
     subject = with_command(warm.subject(genuine), defect.protocol, command)
     bench = AmongGenuine(subject, plant, defect.protocol, IMPATIENT if defect.waits else 1.0)
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .functions import Refused, ToolAnswer, Tools
-from .load import load_subject, reference_subject
+from .load import load_subject, named_subject, reference_subject
 from .model import Adapter, Binding, Deviation, Function, Subject, Variant
 
 __all__ = [
@@ -17,5 +17,6 @@ __all__ = [
     "Tools",
     "Variant",
     "load_subject",
+    "named_subject",
     "reference_subject",
 ]

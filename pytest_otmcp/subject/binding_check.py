@@ -30,6 +30,8 @@ def check_bindings(adapter: Adapter, tools: Mapping[str, Mapping[str, object]]) 
                 if binding.resource:
                     continue
                 where = f"adapter.{adapter.protocol}.bind.{name}" + (f"[{index}]" if len(bound) > 1 else "")
+                if binding.command is not None:
+                    where = f"adapter.{adapter.protocol}.commands.{binding.command.name}"
                 found += _compare(where, binding.tool, binding.arguments, tools)
     if adapter.connect is not None:
         where = f"adapter.{adapter.protocol}.connect"

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from ..protocols.protocol import LAUNCHES
+from ..protocols.protocol import COMMANDS, LAUNCHES
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts
 from .model import Adapter
@@ -19,6 +19,7 @@ class _AdapterClaims:
     unclaimed: Mapping[str, str]
     waiting: Collection[str]
     offered: Collection[str]
+    commands: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +33,7 @@ class Claims:
         """Return the claims of a subject file."""
         return cls(
             {
-                key: _AdapterClaims(adapter.unclaimed, adapter.blocking, adapter.offered)
+                key: _AdapterClaims(adapter.unclaimed, adapter.blocking, adapter.offered, adapter.commands)
                 for key, adapter in adapters.items()
             }
         )
@@ -42,7 +43,9 @@ class Claims:
         """Return the claims that a run record states in ``subject.adapters``."""
         return cls(
             {
-                key: _AdapterClaims(facts["unclaimed"], facts["blocking"], facts.get("offered", ()))
+                key: _AdapterClaims(
+                    facts["unclaimed"], facts["blocking"], facts.get("offered", ()), facts.get("commands", {})
+                )
                 for key, facts in adapters.items()
             }
         )
@@ -62,6 +65,8 @@ class Claims:
         if reason is None and protocols()[protocol].is_voluntary(name) and name not in adapter.offered:
             if operation in LAUNCHES:
                 return f"the subject file has no launch {LAUNCHES[operation]!r}"
+            if operation == COMMANDS:
+                return "the subject file has no named commands"
             return f"no binding of {operation!r} has {part!r}" if part else "no tool is bound to it"
         return reason
 
@@ -82,9 +87,20 @@ class Claims:
         for need in needs:
             protocol, _, name = need.partition(".")
             waiting = self._adapters[protocol].waiting if protocol in self._adapters else ()
-            real = protocols()[protocol].required_facets(name, waiting, partial(self._has, protocol))
+            real = protocols()[protocol].required_facets(
+                self._by_command(protocol, name), waiting, partial(self._has, protocol)
+            )
             found += [f"{protocol}.{facet}" for facet in real]
         return list(dict.fromkeys(found))
+
+    def _by_command(self, protocol: str, facet: str) -> str:
+        """Return what takes the place of the operation that the exercise writes with, where a subject writes by named commands that are
+        all of other operations: that of its first command."""
+        exercise = protocols()[protocol].exercise
+        commands = self._adapters[protocol].commands if protocol in self._adapters else {}
+        if exercise is None or facet != exercise.writing or self._has(protocol, facet):
+            return facet
+        return next(iter(commands.values()), facet)
 
     def _has(self, protocol: str, facet: str) -> bool:
         return self.has(f"{protocol}.{facet}")

@@ -12,7 +12,7 @@ from ..core.text import recorded_name
 from ..record.redaction import REDACTED
 from ..record.schema import AdapterFacts
 from ..record.schema import Subject as RecordedSubject
-from .model import Adapter, Function, Subject
+from .model import Adapter, Binding, Function, Subject
 
 __all__ = ["differences", "stored_bindings"]
 
@@ -56,7 +56,14 @@ def _of_adapter(protocol: str, adapter: Adapter, facts: AdapterFacts) -> Iterato
 def stored_bindings(adapter: Adapter, operation: str) -> list[dict[str, Any]] | None:
     """Return the bindings of an operation as a record has them; None for one that a Python function performs."""
     bound = adapter.operations.get(operation)
-    return None if bound is None or isinstance(bound, Function) else [asdict(case) for case in bound]
+    return None if bound is None or isinstance(bound, Function) else [_stored(case) for case in bound]
+
+
+def _stored(binding: Binding) -> dict[str, Any]:
+    stored = asdict(binding)
+    if binding.command is None:
+        del stored["command"]
+    return stored
 
 
 def _difference(what: str, recorded: object, stated: object) -> Iterator[str]:

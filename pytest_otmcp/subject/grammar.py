@@ -31,7 +31,7 @@ from .kinds import (
 )
 from .tables import ByType, Key, ListOf, MapOf, Named, Rule, Table, Template
 
-__all__ = ["LONGEST_RECOVERY_S", "OUTPUT_TABLE", "adapter_table", "binding_table", "subject_file"]
+__all__ = ["LONGEST_RECOVERY_S", "OUTPUT_TABLE", "adapter_table", "binding_table", "command_table", "subject_file"]
 
 _VARIANTS = ("rw", "ro")
 LONGEST_RECOVERY_S = 5.0
@@ -132,6 +132,13 @@ OUTPUT_TABLE = Table(
     }
 )
 _OUTPUT = Named("output", ByType(str, PATH, OUTPUT_TABLE))
+_RANGE = Table(
+    {
+        "lowest": Key(NUMBER, "The lowest value.", required=True),
+        "highest": Key(NUMBER, "The highest value.", required=True),
+        "step": Key(NUMBER, "From one value to the next.", default=1),
+    }
+)
 _INPUT_TYPE = Named("input_type", OneOf(("string", "int", "float", "bool", "hex", "json", "list")))
 
 
@@ -252,6 +259,11 @@ def adapter_table(protocol: OtProtocol) -> Table:
             **_answering("; without it the adapter answers in the kit's own envelope"),
             "probes": Key(probes, "What to ask for where something must be refused.", default={}),
             "bindings": Key(TEXT, "Python file with functions for operations."),
+            "commands": Key(
+                MapOf(Named(f"adapter.{protocol.key}.command", command_table(protocol))),
+                "Tools with a vocabulary of their own, each with its effect on the device.",
+                default={},
+            ),
             "bind": Key(
                 Named(f"adapter.{protocol.key}.bind", _bind(protocol)), "Which tool performs which operation, and how."
             ),
@@ -288,6 +300,52 @@ def binding_table(operation: Operation) -> Table:
         rules=(_HAS_A_TOOL, _RESOURCE_STANDS_ALONE, _CACHE_HAS_AN_AGE)
         + (() if operation.status else (_KNOWN_FROM_THE_DEVICE,))
         + ((_ANSWERS_AT_ONCE,) if operation.waits is None else ()),
+    )
+
+
+def command_table(protocol: OtProtocol) -> Table:
+    """Return the grammar of one named command."""
+    effects = {
+        name: Key(_effect(operation), _sentence(operation.meaning))
+        for name, operation in protocol.operations.items()
+        if operation.writes
+    }
+    one = Rule(
+        holds=lambda table: len(table) == 1,
+        objection=f"expected one operation that writes, such as {next(iter(effects), 'none')}",
+        described={"minProperties": 1, "maxProperties": 1},
+    )
+    return Table(
+        {
+            "tool": Key(TEXT, "Name of the MCP tool; without it that of the command."),
+            "arguments": Key(_TABLE, "Template; $name is a value that is drawn.", default={}),
+            "draws": Key(
+                MapOf(ByType(list, ListOf(ANYTHING, "a list of values", least=1), _RANGE)),
+                "Argument to the values that it may be given: a list, or a range.",
+                default={},
+            ),
+            "means": Key(
+                MapOf(ByType(list, ListOf(ANYTHING, "a list of values", least=1), _TABLE)),
+                "Argument to a table of its values, each with what it is at the device, or to a list of that for the values in 'draws'.",
+                default={},
+            ),
+            "effect": Key(
+                Table(effects, rules=(one,)), "What the device gets: an operation with its inputs.", required=True
+            ),
+            **_answering("; without it as the adapter does"),
+        }
+    )
+
+
+def _effect(operation: Operation) -> Table:
+    needed = set(operation.inputs) - set(operation.optional)
+    return Table(
+        {
+            name: Key(
+                ANYTHING, f"The input '{name}'; $name is what a value that is drawn means.", required=name in needed
+            )
+            for name in operation.accepted
+        }
     )
 
 

@@ -25,6 +25,7 @@ from ..protocols.protocol import LAUNCHES, RECOVERY
 from ..protocols.registry import protocols
 from .addressing import check_addresses
 from .bindings import read_answering, read_bindings
+from .command_tables import declared_by, with_commands
 from .functions import load_functions, named_functions
 from .grammar import subject_file
 from .kinds import Refusal
@@ -45,13 +46,20 @@ from .model import (
 )
 from .placeholder_check import check_placeholders
 
-__all__ = ["load_subject", "reference_subject"]
+__all__ = ["load_subject", "named_subject", "reference_subject"]
 
 
 @cache
 def reference_subject() -> Subject:
     """Load the description of the shipped reference adapters; it is a subject file like that of any vendor."""
     with resources.as_file(resources.files(__package__) / "reference.toml") as path:
+        return load_subject(path)
+
+
+@cache
+def named_subject() -> Subject:
+    """Load the description of the reference adapters with vocabularies of their own."""
+    with resources.as_file(resources.files(__package__) / "named.toml") as path:
         return load_subject(path)
 
 
@@ -112,6 +120,7 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
     key, known = f"adapter.{protocol}", protocols()[protocol]
     answering = read_answering(table, key, Answering())
     operations, connect = _operations(protocol, table, key, answering, path, run=run), _connect(table)
+    added = declared_by(operations, known)
     _check_placeholders(table, key, operations)
     check_addresses(protocol, operations, connect, f"{key}.bind")
     return Adapter(
@@ -120,12 +129,12 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
         variants={name: _variant(table, name, key, path.parent, run=run) for name in _launches(table)},
         operations=operations,
         answering=answering,
-        unclaimed=_unclaimed(protocol, table),
+        unclaimed=_unclaimed(protocol, table, operations),
         connect=connect,
         recovery=table["recovery"],
         recovery_s=float(table["recovery_s"]),
         call_limit=CallLimit(**table["call_limit"]) if "call_limit" in table else None,
-        lists={key: tuple(table[key]) for key in known.lists},
+        lists={name: (*table[name], *added.get(name, ())) for name in known.lists},
         probes={**known.probes, **table["probes"]},
         secrets=tuple(table["secrets"]),
         secret_env=_secret_env(table, key),
@@ -161,11 +170,19 @@ def _check_placeholders(
     known = protocols()[key.rpartition(".")[2]].operations
     for name, bound in operations.items():
         for binding in bound if not isinstance(bound, Function) else ():
-            check_placeholders(binding.arguments, f"{key}.bind.{name}.arguments", known[name].accepted)
+            if binding.command is None:
+                check_placeholders(binding.arguments, f"{key}.bind.{name}.arguments", known[name].accepted)
 
 
-def _unclaimed(protocol: str, table: Mapping[str, Any]) -> dict[str, str]:
+def _unclaimed(
+    protocol: str, table: Mapping[str, Any], operations: Mapping[str, tuple[Binding, ...] | Function]
+) -> dict[str, str]:
     unclaimed: dict[str, str] = {}
+    if table["commands"]:
+        # The file has said how the adapter writes.
+        known = protocols()[protocol].operations.items()
+        other = (name for name, operation in known if operation.writes and not operation.voluntary)
+        unclaimed |= {name: "the adapter writes by named commands" for name in other if name not in operations}
     for choice in protocols()[protocol].choices:
         unclaimed |= choice.unclaims[table[choice.key]]
     if table["recovery"] == "new_session":
@@ -241,6 +258,8 @@ def _operations(
         if both := sorted(functions.keys() & operations.keys()):
             raise Refusal(f"{key}.bind.{both[0]}", f"{source.name} has a function for this operation as well")
         operations |= functions
+    if table["commands"]:
+        return with_commands(operations, table["commands"], f"{key}.commands", answering, protocols()[protocol])
     if not {"bind", "bindings"} & table.keys():
         if not answering.native:
             raise Refusal(key, "expected 'bind' tables, which say what tool performs which operation")

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from ..protocols.bounds import Bounds
-from ..protocols.protocol import BOUNDS, CONTROL_GUARD, GUARD, LAUNCHES, RECOVERY
+from ..protocols.protocol import BOUNDS, COMMANDS, CONTROL_GUARD, GUARD, LAUNCHES, RECOVERY
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, BoundsTold
+from .command import Command
 
 __all__ = [
     "BOUNDED",
@@ -192,6 +193,8 @@ class Binding:
         convert: input name to the type in which the tool wants it.
         answering: how the tool's answers are read.
         max_age_s: how old an answer may be that comes from a cache, as declared; None for one that must not.
+        command: the effect of a named command; then the template's names are those of the values that the command draws, and the binding
+            is for the inputs that the command can express. None for a tool that is the operation itself.
     """
 
     tool: str
@@ -205,12 +208,17 @@ class Binding:
     resource: bool = False
     blocking: bool = False
     max_age_s: float | None = None
+    command: Command | None = None
 
     def fill(self, inputs: Mapping[str, object], endpoint: Mapping[str, str]) -> dict[str, Any]:
         """Return the tool's arguments for these inputs; the argument for an input that is not given is left out."""
+        filled: dict[str, Any]
+        if self.command is not None:
+            filled = replace_template(self.arguments, self.command.arguments(inputs) or {}, endpoint)
+            return filled
         prepared = self.told(inputs)
         template = _without(self.arguments, placeholders(self.arguments) - prepared.keys())
-        filled: dict[str, Any] = replace_template(template, prepared, endpoint)
+        filled = replace_template(template, prepared, endpoint)
         return filled
 
     def told(self, inputs: Mapping[str, object]) -> dict[str, Any]:
@@ -235,11 +243,13 @@ class Binding:
 
     def fits(self, inputs: Mapping[str, object]) -> bool:
         """Tell whether this binding is for these inputs."""
+        if self.command is not None:
+            return self.command.arguments(inputs) is not None
         return all(inputs.get(name) == value for name, value in self.when.items())
 
     def mentions(self, name: str) -> bool:
-        """Tell whether the template has a place for this input."""
-        return name in placeholders(self.arguments)
+        """Tell whether the template, or the effect of a command, has a place for this input."""
+        return name in (placeholders(self.arguments) if self.command is None else self.command.effect)
 
 
 def _text(value: object) -> str:
@@ -415,7 +425,7 @@ class Adapter:
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""
         operation, _, optional = facet.partition(".")
-        if operation in (*LAUNCHES, RECOVERY):
+        if operation in (*LAUNCHES, RECOVERY, COMMANDS):
             return None
         bound = self.operations.get(operation)
         if bound is None:
@@ -469,8 +479,19 @@ class Adapter:
         }
 
     @property
+    def commands(self) -> dict[str, str]:
+        """The named commands, each with the operation that it performs."""
+        return {
+            case.command.name: name
+            for name, bound in self.operations.items()
+            if isinstance(bound, tuple)
+            for case in bound
+            if case.command is not None
+        }
+
+    @property
     def offered(self) -> tuple[str, ...]:
-        """The voluntary facets that bindings and launches claim."""
+        """The voluntary facets that bindings, launches and named commands claim."""
         known = protocols()[self.protocol]
         return tuple(
             facet for facet in known.facets if known.is_voluntary(facet) and self._has_place(*facet.partition(".")[::2])
@@ -479,6 +500,8 @@ class Adapter:
     def _has_place(self, operation: str, part: str) -> bool:
         if operation in LAUNCHES:
             return LAUNCHES[operation] in self.variants
+        if operation == COMMANDS:
+            return bool(self.commands)
         bound = self.operations.get(operation)
         if bound is None:
             return False
@@ -515,6 +538,8 @@ class Adapter:
         }
         if self.offered:
             facts["offered"] = list(self.offered)
+        if self.commands:
+            facts["commands"] = self.commands
         if self.bounds is not None:
             facts["bounds"] = cast(BoundsTold, self.bounds.as_record())
         return facts

@@ -13,7 +13,7 @@ from functools import wraps
 from typing import Any
 
 from ..core.matrix import REQUIREMENTS
-from ..protocols.protocol import GUARD, LAUNCHES
+from ..protocols.protocol import GUARD, LAUNCHES, READ_OR_STATUS
 from ..protocols.registry import protocols
 from .task import Steps, Task, Tasks
 
@@ -59,6 +59,7 @@ class Checks(Tasks):
         facets: str = "",
         having: str = "",
         apart: str = "",
+        status: bool = False,
     ) -> Callable[[Generic], Generic]:
         """Return a decorator that turns steps into a check of a row on each protocol that has an exercise.
 
@@ -72,6 +73,7 @@ class Checks(Tasks):
             facets: further facets, without their protocol, separated by blanks.
             having: member of the exercise that the steps use, and that not every protocol has.
             apart: keys of protocols that have a check of this row of their own, separated by blanks.
+            status: a status that the device has to answer is as good as the read.
         """
 
         def declare(steps: Generic) -> Generic:
@@ -82,7 +84,8 @@ class Checks(Tasks):
                 if launch and launch not in protocol.facets:
                     continue
                 launches = [*[GUARD] * guard, *[launch] * bool(launch)]
-                wanted = [*[exercise.reading] * reads, *[exercise.writing] * writes, *launches, *facets.split()]
+                reading = READ_OR_STATUS if status else exercise.reading
+                wanted = [*[reading] * reads, *[exercise.writing] * writes, *launches, *facets.split()]
                 needs = " ".join(f"{key}.{facet}" for facet in wanted)
                 optional = [beside] if beside in protocol.facets else []
                 guards = " ".join(f"{key}.{facet}" for facet in optional)

@@ -62,6 +62,7 @@ class Ledger:
             adapter, ``variant``.
         observations: the looks at devices.
         refused: why nothing may be written, so that the item ends; None as long as nothing was refused.
+        inapplicable: why the steps found nothing to judge; None where they did.
     """
 
     def __init__(
@@ -72,6 +73,7 @@ class Ledger:
         self.item = item
         self.origin = origin
         self.refused: Finding | None = None
+        self.inapplicable: str | None = None
         self.calls: list[Judged] = []
         self.findings: list[Finding] = []
         self.observations: list[Observation] = []

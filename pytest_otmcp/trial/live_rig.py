@@ -171,7 +171,11 @@ class LiveRig(Rig):
         return addressed_by(self.under_test.adapter)
 
     def bindings(self, operation: str) -> Sequence[Binding] | None:
-        return self.under_test.bindings(operation)
+        found = self.under_test.bindings(operation)
+        if any(case.command is not None for case in found or ()):
+            # What commands can express is judged from the record as well.
+            self.under_test.used[operation] = None
+        return found
 
     def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
         return self.under_test.is_bound(operation, inputs)

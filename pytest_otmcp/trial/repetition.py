@@ -50,7 +50,6 @@ class Repetition:
         notes: a place where the steps can keep values.
         phases: of a recovery trial.
         ended_early: its last steps were not reached.
-        inapplicable: why the steps found nothing to judge; None where they did.
     """
 
     def __init__(
@@ -78,7 +77,6 @@ class Repetition:
         self.phases: Phases | None = None
         self.notes: dict[str, object] = {}
         self.ended_early = False
-        self.inapplicable: str | None = None
         self._at = {(at.protocol, at.variant): at for at in rigs}
         for at in self.all:
             at.join(self.ledger)
@@ -97,6 +95,11 @@ class Repetition:
     def all(self) -> Iterable[Rig]:
         """Every adapter at its device that this task has."""
         return self._at.values()
+
+    @property
+    def inapplicable(self) -> str | None:
+        """Why the steps found nothing to judge; None where they did."""
+        return self.ledger.inapplicable
 
     # -- collecting ---------------------------------------------------------------------------------------
 
@@ -165,7 +168,7 @@ class Repetition:
         Args:
             reason: why, from what the subject file and the adapter's list of tools say alone, so that a stored history says the same.
         """
-        self.inapplicable = reason
+        self.ledger.inapplicable = reason
         raise EndedError
 
     # -- judging ------------------------------------------------------------------------------------------

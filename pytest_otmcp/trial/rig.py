@@ -13,11 +13,13 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
+from ..core.verdict import INEXPRESSIBLE
 from ..protocols.bounds import Bounds
 from ..protocols.journal import ADAPTER, judged
 from ..protocols.protocol import Declared
 from ..protocols.registry import protocols
 from ..record.schema import DeviceEntry, Footprint, HandshakeEra, Role, ToolListing
+from ..subject.command import Command, names_in
 from ..subject.model import READ_WRITE, Binding
 from .alteration import Alteration
 from .cursor import JournalCursor, Oracle
@@ -26,7 +28,7 @@ from .limits import excess
 from .reply import Reply
 from .write_gate import EndedError, WriteGate
 
-__all__ = ["EndedError", "Entry", "Footprint", "FreshSession", "Rig", "adapter_name"]
+__all__ = ["Command", "EndedError", "Entry", "Footprint", "FreshSession", "Rig", "adapter_name"]
 
 T = TypeVar("T")
 
@@ -132,6 +134,39 @@ class Rig(WriteGate):
             return None
         return self._excess(operation, binding.tool, binding.fill(inputs, self._placeholders))
 
+    # -- named commands -----------------------------------------------------------------------------------
+
+    def commands(self) -> list[tuple[str, Command]]:
+        """Return the named commands of the subject, each with the operation that it performs."""
+        known = protocols()[self.protocol].operations
+        return [
+            (name, case.command)
+            for name in known
+            if known[name].writes and self.claims(name)
+            for case in self.bindings(name) or ()
+            if case.command is not None
+        ]
+
+    def by_command_alone(self, operation: str) -> bool:
+        """Tell whether a subject performs an operation by named commands and in no other way."""
+        cases = self.bindings(operation)
+        return bool(cases) and all(case.command is not None for case in cases or ())
+
+    def expresses(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        """Tell whether the subject's named commands can express these inputs, where it performs the operation by them alone."""
+        return not self.by_command_alone(operation) or self._is_bound(operation, inputs)
+
+    def _is_command(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        return any(case.command is not None and case.fits(inputs) for case in self.bindings(operation) or ())
+
+    def _must_express(self, operation: str, inputs: Mapping[str, object]) -> None:
+        if self.expresses(operation, inputs):
+            return
+        if not any(finding.is_must for finding in self._ledger.findings):
+            said = ", ".join(f"{name}={value!r}" for name, value in inputs.items())
+            self._ledger.inapplicable = f"{INEXPRESSIBLE} {operation} with {said:.60}"
+        raise EndedError
+
     def _excess(self, operation: str, tool: str, arguments: Mapping[str, object]) -> str | None:
         listing = self.listing(operation, tool)
         return None if listing is None else excess(listing.get("inputSchema"), arguments)
@@ -158,6 +193,7 @@ class Rig(WriteGate):
         """Perform an operation as :meth:`call_altered` does, with arguments that no adapter must be able to read: to be answered by
         an error of MCP instead of a result, or not at all, is worth the remark and nothing else. The end of the session is a fault.
         """
+        self._must_express(operation, inputs)
         await self._before(operation)
         inputs = self._complete(operation, inputs)
         reply = await self._perform(operation, inputs, altered)
@@ -171,6 +207,7 @@ class Rig(WriteGate):
     async def _call(
         self, operation: str, inputs: Mapping[str, object], role: Role | None, altered: Alteration | None = None
     ) -> Reply:
+        self._must_express(operation, inputs)
         writes = await self._before(operation)
         inputs = self._complete(operation, inputs)
         there = self.running
@@ -180,7 +217,8 @@ class Rig(WriteGate):
         self._ledger.add(reply, inputs, role, reachable=there and self.running, altered=altered)
         if writes:
             self._after(reply)
-            if not there and not reply.success:
+            # What a command of few values has failed to send will be asked for again.
+            if not (there or reply.success or self._is_command(operation, inputs)):
                 self._cursor.note_failed(inputs)
         if not reply.answered:
             raise EndedError
@@ -216,6 +254,7 @@ class Rig(WriteGate):
         Args:
             meanwhile: is done after that and before the call is cancelled; a look of this rig.
         """
+        self._must_express(operation, inputs)
         await self._before(operation)
         inputs = self._complete(operation, inputs)
         with nullcontext() if meanwhile is None else self._ledger.one_group():
@@ -233,6 +272,10 @@ class Rig(WriteGate):
         if binding is None or binding.resource:
             return None
         taken = {value: name for name, value in binding.arguments.items() if isinstance(value, str)}
+        if binding.command is not None:
+            # An input that a value has a part in.
+            parts = {name: sorted(names_in(binding.command.effect[name])) for name in inputs}
+            return {name: taken[f"${found[0]}"] for name, found in parts.items() if found and f"${found[0]}" in taken}
         return {
             name: taken[f"${name}"]
             for name in inputs

@@ -38,7 +38,8 @@ def main() -> int:
             return 2
     mutant = MUTANTS[asked]
     try:
-        server: AdapterServer = import_module(f"..{protocol}", __package__).build()
+        module = f"..{protocol}.named" if mutant.named else f"..{protocol}"
+        server: AdapterServer = import_module(module, __package__).build()
     except ConfigError as error:
         print(f"configuration: {error}", file=sys.stderr)
         return 2

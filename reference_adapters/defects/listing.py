@@ -26,6 +26,7 @@ def listing() -> dict[str, Any]:
                 "waits": one.waits,
                 "cold": one.cold,
                 "sample": one.id in SAMPLE,
+                "named": one.named,
             }
             for one in MUTANTS.values()
         ],

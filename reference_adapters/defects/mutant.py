@@ -51,6 +51,7 @@ class Mutant:
         cold: its own processes are looked at, so it is started as users start it, not forked from one that is warm.
         quick: it is run in every test run; the others are run with the long tests.
         anywhere: it is the same change of any adapter, and can be had at the adapter of every protocol.
+        named: the adapter is the one with a vocabulary of its own.
     """
 
     id: str
@@ -65,6 +66,7 @@ class Mutant:
     cold: bool = False
     quick: bool = False
     anywhere: bool = False
+    named: bool = False
 
     @property
     def catalogue_id(self) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ..core import AdapterServer, ConfigError, Environment
 from .link import Link
 from .shapes import is_unit
@@ -11,8 +13,15 @@ from .tools import Tools
 __all__ = ["build"]
 
 
-def build() -> AdapterServer:
+def _as_they_are(tools: Tools) -> object:
+    return tools
+
+
+def build(group: Callable[[Tools], object] = _as_they_are) -> AdapterServer:
     """Build the adapter that the environment configures.
+
+    Args:
+        group: makes the object whose methods are the adapter's tools.
 
     Raises:
         ConfigError: a setting cannot be used.
@@ -35,5 +44,5 @@ def build() -> AdapterServer:
         deadline_s=environment.seconds("MODBUS_DEADLINE_S", 3.0),
         close=link.close,
     )
-    server.add(Tools(link, default_unit=unit, tags=tags))
+    server.add(group(Tools(link, default_unit=unit, tags=tags)))
     return server

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from urllib.parse import urlsplit
 
 from ..core import AdapterServer, ConfigError, Environment
@@ -17,8 +18,11 @@ __all__ = ["build"]
 _LEVEL = re.compile(r"[^/+#\x00-\x1f\x7f]+")
 
 
-def build() -> AdapterServer:
+def build(group: Callable[[Tools], object] | None = None) -> AdapterServer:
     """Build the adapter that the environment configures.
+
+    Args:
+        group: makes the object whose methods are the adapter's tools; None for the tools as they are, and those of Sparkplug B.
 
     Raises:
         ConfigError: a setting cannot be used.
@@ -41,6 +45,9 @@ def build() -> AdapterServer:
         deadline_s=environment.seconds("MQTT_DEADLINE_S", 4.0),
         close=link.close,
     )
+    if group is not None:
+        server.add(group(Tools(link)))
+        return server
     server.add(Tools(link))
     server.add(SparkplugTools(link), protocol="sparkplug-b")
     return server

@@ -172,3 +172,45 @@ def test_an_adapter_that_does_not_start_is_one_sentence(here: Path, capsys: pyte
     code, _, error = called(capsys, "ping")
     assert code == 1
     assert "'otmcp doctor' may know why" in error
+
+
+COMMAND = (
+    MODBUS
+    + """
+[adapter.modbus.commands.set_pump]
+tool = "write_register"
+draws = { percent = { lowest = 0, highest = 100 } }
+arguments = { address = 40, value = "$percent" }
+effect.write_holding = { address = 40, value = "$percent" }
+[adapter.modbus.bind]
+ping = { tool = "ping" }
+read_holding = { tool = "read_multiple_holding_registers", arguments = { address = "$address", count = "$count" }, result = { values = "data.values" } }
+"""
+)
+
+
+def test_a_named_command_is_called_by_its_name_and_arguments(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "otmcp.toml").write_text(COMMAND)
+    code, shown, _ = called(capsys, "set_pump", "percent=70")
+    assert code == 0
+    adapter, device = rows(shown)
+    assert '-> write_register {"address": 40, "value": 70}' in adapter
+    assert any(line.startswith("-> request: write single register") for line in device)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ((), "set_pump: percent must be given, as percent=VALUE"),
+        (("percent=101",), "set_pump: the command does not draw 101 for percent"),
+        (("percent=true",), "set_pump: the command does not draw True for percent"),
+        (("percnt=1",), "set_pump: there is no argument 'percnt'; did you mean 'percent'?"),
+    ],
+)
+def test_what_a_named_command_does_not_take_is_said(
+    here: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], sentence: str
+) -> None:
+    (here / "otmcp.toml").write_text(COMMAND)
+    code, _, said = called(capsys, "set_pump", *arguments)
+    assert code == 2
+    assert sentence in said

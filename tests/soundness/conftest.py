@@ -21,7 +21,7 @@ from pytest_otmcp.soundness.among_genuine import AmongGenuine, with_command
 from pytest_otmcp.soundness.defect import DEFECTS
 from pytest_otmcp.soundness.judging import IMPATIENT, measured
 from pytest_otmcp.soundness.warm_start import WarmStart
-from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
+from pytest_otmcp.subject import Adapter, Subject, load_subject, named_subject, reference_subject
 from pytest_otmcp.suite.catalogue import all_tasks, tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
@@ -89,7 +89,7 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
     """``judge(protocol, program, mode, …)`` runs every task that needs the protocol with that adapter replaced.
 
     A ``command`` is started as it is, a program is started warm. With a number for ``shuffled`` the tasks run in another order.
-    ``described`` changes what the subject file says of it.
+    ``described`` changes what the subject file says of it. ``named``: it has a vocabulary of its own.
     """
 
     def run(
@@ -101,11 +101,13 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
         shuffled: int | None = None,
         repetitions: int = 1,
         described: Callable[[Adapter], Adapter] | None = None,
+        named: bool = False,
     ) -> Results:
         if command is None:
             first = (str(HERE / program[0]),) if program[0].endswith(".py") else (program[0],)
             command = (*warm_start.python, *first, *program[1:])
-        subject = with_command(warm_start.subject(reference_subject()), protocol, command)
+        genuine = named_subject() if named else reference_subject()
+        subject = with_command(warm_start.subject(genuine), protocol, command)
         if described is not None:
             changed = described(subject.adapters[protocol])
             subject = replace(subject, adapters={**subject.adapters, protocol: changed})

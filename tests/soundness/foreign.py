@@ -29,6 +29,8 @@ SHAPES = {
     "mqtt-handle": "foreign_mqtt",
     "mqtt-collect": "foreign_mqtt",
     "opcua-items": "foreign_opcua",
+    "modbus-valves": "foreign_commands",
+    "mqtt-lights": "foreign_commands",
 }
 
 
@@ -75,17 +77,19 @@ class Shape:
     """The shape of one adapter.
 
     Attributes:
-        tools: name to its arguments (name to JSON type) and its handler.
+        tools: name to its arguments (name to JSON type, or to a JSON Schema) and its handler.
         unlisted: names of tools that work, but are not listed.
         open_arguments: the schemas allow arguments that they do not name.
         unknown: the answer to a call of a tool that does not exist.
+        strict: every argument is required, and what the schemas do not allow is refused.
         served: ``stdio``, by a few lines of this module, because most tests are about answers and the SDK takes most of
             a second to start; ``sdk``, by the SDK over stdio; or ``http``, by the SDK over HTTP.
     """
 
-    tools: dict[str, tuple[dict[str, str], Callable[..., Awaitable[Result]]]]
+    tools: dict[str, tuple[dict[str, Any], Callable[..., Awaitable[Result]]]]
     unlisted: tuple[str, ...] = ()
     open_arguments: bool = False
+    strict: bool = False
     unknown: Callable[[str], Result] = field(default=no_such_tool)
     served: str = "stdio"
 
@@ -93,20 +97,27 @@ class Shape:
         return [
             {
                 "name": name,
-                "inputSchema": {
-                    "type": "object",
-                    "properties": {argument: {"type": kind} for argument, kind in arguments.items()},
-                    "additionalProperties": self.open_arguments,
-                },
+                "inputSchema": self._schema(arguments),
             }
             for name, (arguments, _) in self.tools.items()
             if name not in self.unlisted
         ]
 
+    def _schema(self, arguments: dict[str, Any]) -> dict[str, Any]:
+        properties = {name: {"type": kind} if isinstance(kind, str) else kind for name, kind in arguments.items()}
+        required = {"required": list(arguments)} if self.strict else {}
+        return {"type": "object", "properties": properties, "additionalProperties": self.open_arguments, **required}
+
     async def call(self, name: str, given: dict[str, Any]) -> Result:
         if name not in self.tools:
             return self.unknown(name)
         known, handler = self.tools[name]
+        if self.strict:
+            from jsonschema import Draft202012Validator
+
+            problem = next(Draft202012Validator(self._schema(known)).iter_errors(given), None)
+            if problem is not None:
+                return prose(f"Error: invalid arguments: {problem.message[:200]}", is_error=True)
         # As the servers of mcp 1.x do: an unknown argument is dropped without an error.
         return await handler(**{argument: value for argument, value in given.items() if argument in known})
 

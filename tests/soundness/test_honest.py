@@ -90,6 +90,12 @@ def test_an_honest_adapter_that_keeps_bounds_in_its_own_way_is_accused_of_nothin
     accused_of_nothing(judge, name, f"WR-006.{protocol} WR-007.{protocol}")
 
 
+@pytest.mark.parametrize("name", [name for name in ZOO if name.startswith("commands/")])
+def test_an_honest_adapter_with_commands_of_another_form_is_accused_of_nothing(judge: Judge, name: str) -> None:
+    protocol = ZOO[name].protocol
+    accused_of_nothing(judge, name, f"WR-003.{protocol} WR-004.{protocol} WR-010.{protocol} WR-014.{protocol}")
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     "name",

@@ -158,6 +158,17 @@ BY_KIT_ALONE = (
     "expected a date",
     "more than one for the item",
     ", found nan",
+    "is no value that the command draws",
+    "is given to no argument of the tool",
+    "has no part in it",
+    "which is no number for each of its values",
+    "two values of an argument are the same at the device",
+    "'draws' has values for this argument as well",
+    "expected a 'highest' that is not below 'lowest'",
+    "that every reader of JSON reads alike",
+    "found an empty table",
+    "expected as many values as the list of this argument",
+    "has this effect as well",
 )
 """Refusals beyond the schema: languages inside of strings, other files, rules about several tables, TOML's types."""
 

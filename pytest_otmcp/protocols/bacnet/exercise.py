@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from ..exercise import LARGEST_FLOAT32, Asked, Clamped, Contended, DeviceText, Exercise, Limited, Texts
 from ..journal import Entries, JournalEntry
@@ -229,7 +230,17 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
     )
 
 
+def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
+    if operation != "write":
+        return {}
+    target = f"{inputs['type']},{inputs['instance']}"
+    commandable = str(inputs["type"]).endswith("-output")
+    at_priority = {f"{target}/priority-array/{inputs['priority']}": inputs["value"]} if commandable else {}
+    return {f"{target}/present-value": inputs["value"], **at_priority}
+
+
 EXERCISE = Exercise(
+    points_of=_points_of,
     reading="read",
     read=_read,
     writing="write",

@@ -271,7 +271,13 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
     return (DeviceText(place="an octet string", ask=_read_text, longest=200, encoding="utf-8"),)
 
 
+def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
+    latches = operation == "write_binary" and str(inputs.get("control", "latch")).startswith("latch")
+    return {f"binary_output/{inputs['index']}": inputs["value"]} if latches else {}
+
+
 EXERCISE = Exercise(
+    points_of=_points_of,
     reading="read_analog",
     read=_read,
     writing="write_binary",

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
+from typing import Any
 
 from ..exercise import (
     LARGEST_FLOAT32,
@@ -278,7 +279,15 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
     )
 
 
+def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
+    if operation == "write_tag":
+        return {inputs["tag"]: inputs["value"]}
+    items = inputs["items"] if operation == "write_tags" else ()
+    return {item["tag_name"]: item["value"] for item in items}
+
+
 EXERCISE = Exercise(
+    points_of=_points_of,
     reading="read_tag",
     read=_read,
     writing="write_tag",

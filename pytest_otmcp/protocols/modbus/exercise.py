@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import random
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -148,6 +149,16 @@ def _clamped(rng: random.Random) -> Clamped:
     return Clamped(write=asked, output="value", held=highest, action={"clamp": [0, highest]})
 
 
+def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
+    table = {"holding": "holding_registers", "registers": "holding_registers", "coil": "coils", "coils": "coils"}.get(
+        operation.removeprefix("write_")
+    )
+    if table is None:
+        return {}
+    values = inputs["values"] if "values" in inputs else [inputs["value"]]
+    return points(table, inputs["address"], values, unit=inputs.get("unit", 1))
+
+
 EXERCISE = Exercise(
     reading="read_holding",
     read=_read,
@@ -169,4 +180,6 @@ EXERCISE = Exercise(
     },
     device_texts=_device_texts,
     clamped=_clamped,
+    points_of=_points_of,
+    changing=tuple({"function": function} for function in (5, 6, 15, 16, 22)),
 )

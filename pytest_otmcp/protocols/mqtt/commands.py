@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from ..journal import JournalEntry
 from ..protocol import Declared
 from .entries import as_mqtt
 from .sparkplug_decoder import parse_topic
 
-__all__ = ["COMMAND_TOPICS", "commands"]
+__all__ = ["COMMAND_TOPICS", "commands", "declares"]
 
 COMMAND_TOPICS = "command_topics"
 """Key of the subject file: further topic filters below which the plant listens for commands."""
@@ -26,6 +28,11 @@ def commands(entry: JournalEntry, declared: Declared) -> bool:
     if sparkplug is not None:
         return sparkplug.type in ("NCMD", "DCMD")
     return any(_matches(text, topic) for text in (_PLANT, *declared.get(COMMAND_TOPICS, ())))
+
+
+def declares(operation: str, effect: Mapping[str, str]) -> Mapping[str, list[str]]:
+    """Return the topics of a named command: the plant listens there for commands."""
+    return {COMMAND_TOPICS: [effect["topic"]]} if "topic" in effect else {}
 
 
 def _matches(text: str, topic: str) -> bool:

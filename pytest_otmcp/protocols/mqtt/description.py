@@ -6,7 +6,7 @@ import re
 
 from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
 from ..session_oracle import Exchanges
-from .commands import COMMAND_TOPICS
+from .commands import COMMAND_TOPICS, declares
 from .contradiction import contradiction, is_answer
 from .decoder import MqttConversation, packet_length
 from .entries import describe, messages
@@ -46,6 +46,7 @@ PROTOCOL = OtProtocol(
         ),
     ),
     lists={COMMAND_TOPICS: "Topic filters, beside control/#, below which a publication commands the plant."},
+    declares=declares,
     framing=Framing(frame_length=packet_length, conversation=MqttConversation),
     unsolicited=no_command,
     changes=messages,

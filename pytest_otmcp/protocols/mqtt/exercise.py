@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import base64
+import json
 import random
+from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
+from ...core.strict_json import same_json
 from ..exercise import Asked, DeviceText, Exercise, Limited
 from ..journal import Entries, JournalEntry
-from .entries import messages, payload_of
+from .entries import as_mqtt, messages, payload_of
 
 __all__ = ["EXERCISE"]
 
@@ -32,13 +36,35 @@ def _tells(rng: random.Random) -> tuple[Asked, ...]:
 
 
 def _published(entries: Entries, asked: Asked) -> list[JournalEntry]:
-    wanted = str(asked.inputs["payload"]).encode()
     # What is delivered again, and marked so, is the same message.
     return [
         message
         for message in messages(entries)
-        if message["topic"] == asked.inputs["topic"] and payload_of(message) == wanted
+        if message["topic"] == asked.inputs["topic"]
+        and _is_asked_for(payload_of(message), str(asked.inputs["payload"]))
     ]
+
+
+def _is_asked_for(payload: bytes, wanted: str) -> bool:
+    """Tell whether a payload is what was asked for; of a JSON object the members that were asked for, others are the adapter's own."""
+    if payload == wanted.encode():
+        return True
+    try:
+        stated, said = json.loads(wanted), json.loads(payload)
+    except ValueError:
+        return False
+    return isinstance(stated, dict) and _has(said, stated)
+
+
+def _has(said: object, stated: object) -> bool:
+    if isinstance(stated, dict) and isinstance(said, dict):
+        return all(name in said and _has(said[name], value) for name, value in stated.items())
+    return same_json(said, stated)
+
+
+def _says(entry: JournalEntry) -> Mapping[str, Any] | None:
+    message = as_mqtt(entry)
+    return {"qos": message.get("qos"), "retain": bool(message.get("retain"))} if message["kind"] == "PUBLISH" else None
 
 
 def _fenced(rng: random.Random) -> tuple[Asked, ...]:
@@ -138,6 +164,7 @@ EXERCISE = Exercise(
         for topic in ("control/limited", "control/paced")
     },
     unauthorised=({"packet": "CONNECT", "action": {"reason_code": _NOT_AUTHORISED}},),
+    says=_says,
     outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
     device_texts=_device_texts,
 )

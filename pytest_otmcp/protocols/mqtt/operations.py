@@ -42,6 +42,7 @@ OPERATIONS: Mapping[str, Operation] = {
         requirement="MQT-001",
         voluntary_inputs=("retain", "encoding"),
         defaults={"retain": False, "encoding": "utf-8"},
+        documents=("payload",),
     ),
     "device_birth": Operation(
         meaning="announce a Sparkplug B device with its metrics (DBIRTH)",

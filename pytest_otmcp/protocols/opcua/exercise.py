@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import random
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 from ..exercise import Asked, Contended, DeviceText, Exercise, Limited, every_change
 from ..journal import JournalEntry
@@ -161,7 +162,16 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
     )
 
 
+def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
+    if operation == "write":
+        return {inputs["node"]: inputs["value"]}
+    items = inputs["items"] if operation == "write_many" else ()
+    return {item["node_id"]: item["value"] for item in items}
+
+
 EXERCISE = Exercise(
+    points_of=_points_of,
+    changing=tuple({"service": service} for service in ("Write", "Call")),
     reading="read",
     read=_read,
     writing="write",

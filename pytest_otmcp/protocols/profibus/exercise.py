@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any
 
 from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Limited
 from ..journal import Entries, JournalEntry
@@ -176,7 +177,12 @@ def _setting(value: float) -> Asked:
     return _named(_SETPOINT, value, 0, struct.pack(">h", value))
 
 
+def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
+    return points(inputs["slave"], "output", bytes(inputs["data"])) if operation == "write_outputs" else {}
+
+
 EXERCISE = Exercise(
+    points_of=_points_of,
     reading="read_inputs",
     read=_read,
     writing="write_outputs",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 from ..exercise import (
     LARGEST_FLOAT32,
@@ -29,6 +30,7 @@ _TARGET = 12
 """Byte of a DINT that the plant does not follow."""
 _FREE, _LARGE, _FIRST = 48, 1, 20
 """First byte of those that nothing uses; number of a larger data block, and the first byte there that the plant leaves alone."""
+_FORMS = {"BYTE": "B", "WORD": "H", "DWORD": "I", "INT": "h", "DINT": "i", "REAL": "f", "LREAL": "d"}
 _MARKER = 3
 _TEXT, _DECLARED = 160, 60
 """First byte of a STRING in the larger data block, and the length that it is declared with."""
@@ -276,7 +278,18 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
     return (DeviceText(place="a STRING", ask=_read_text, longest=_DECLARED, encoding="latin-1"),)
 
 
+def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
+    form = _FORMS.get(str(inputs.get("type"))) if operation == "write_db" else None
+    try:
+        content = b"" if form is None else struct.pack(f">{form}", inputs["value"])
+    except struct.error:
+        # The type has no such value.
+        content = b""
+    return points(f"DB{inputs.get('db')}", inputs["start"], content) if content else {}
+
+
 EXERCISE = Exercise(
+    points_of=_points_of,
     reading="read_typed",
     read=_read,
     writing="write_db",

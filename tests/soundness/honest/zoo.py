@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from . import (
     bacnet_choices,
     bounds_choices,
+    commands_choices,
     dnp3_choices,
     ethernetip_choices,
     mcp_choices,
@@ -37,6 +38,8 @@ ZOO: Mapping[str, Choice] = {
         ("bounds", bounds_choices.MODBUS),
         ("bounds", bounds_choices.MQTT),
         ("bounds", bounds_choices.OPCUA),
+        ("commands", commands_choices.MODBUS),
+        ("commands", commands_choices.MQTT),
     )
     for name, choice in declared.items()
 }

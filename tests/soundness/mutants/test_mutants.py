@@ -40,7 +40,9 @@ def test_a_defect_fails_exactly_its_items_for_exactly_its_requirements(judge: Ju
     tasks = " ".join(task.id for task in tasks_of(defect))
     time_scale = IMPATIENT if defect.waits else 1.0
     command = (sys.executable, *DEFECT, name) if defect.cold else None
-    results = judge(defect.protocol, *DEFECT, name, command=command, tasks=tasks, time_scale=time_scale)
+    results = judge(
+        defect.protocol, *DEFECT, name, command=command, tasks=tasks, time_scale=time_scale, named=defect.named
+    )
     assert failing(results) == set(defect.items), words(results)
     assert requirements(results) == set(defect.requirements), words(results)
     assert "KIT_ERROR" not in {result["status"] for result in results.values()}

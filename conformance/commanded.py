@@ -1,0 +1,103 @@
+"""A named command, called and judged by the effect that the subject file states. Tasks and checks share it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.exercise import Asked, Exercise
+from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.oracle import Witness
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.protocols.unsolicited import nothing_commanded
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.rig import Rig
+
+from .within import within
+
+__all__ = ["asked_of_the_device", "carried_out", "exercise_of", "guarded", "nothing_sent", "some_command"]
+
+_LATE_S = 0.25
+"""Seconds for which a message that no answer confirms may be on its way when the call is answered."""
+
+
+def exercise_of(at: Rig) -> Exercise:
+    """Return what checks for every protocol do on this one, as far as the adapter allows it."""
+    found = protocols()[at.protocol].exercise
+    assert found is not None, f"{at.protocol} has no exercise"
+    return within(at, found)
+
+
+def some_command(run: Repetition, at: Rig) -> Asked:
+    """Make the write of an adapter that writes by named commands alone, with values drawn at random."""
+    return exercise_of(at).write(run.rng)
+
+
+async def asked_of_the_device(at: Rig, asked: Asked, reply: Reply) -> Entries:
+    """Return what reached the device during a call that writes; of a named command also what has come since.
+
+    What a command sends may need no answer, as a message of QoS 0, and is on its way then when the call is answered.
+    """
+    if not at.by_command_alone(asked.operation):
+        return reply.during(await at.journal())
+    if reply.success and not exercise_of(at).done(_since(reply, await at.journal()), asked):
+        await at.watch(_LATE_S)
+    return _since(reply, await at.journal())
+
+
+async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: str | None = None) -> None:
+    """Call a command, and expect success, one request with its effect, and nothing else at the device.
+
+    Args:
+        requirement: id of the requirement that anything else breaks; None is WR-001 to WR-003, depending on what it is.
+    """
+    await at.prove()
+    before = await at.image()
+    reply = await at.call(asked.operation, **asked.inputs)
+    if not run.succeeds(reply, requirement=requirement):
+        return
+    seen = await asked_of_the_device(at, asked, reply)
+    count = len(exercise_of(at).done(seen, asked))
+    if count != 1:
+        message = (
+            f"{reply.label}: the device should have seen its effect, {_effect(asked)}, once, it saw it {count} times"
+        )
+        broken = requirement or ("WR-003" if count else "WR-001")
+        run.finding("not_written_once", message, broken, evidence=protocols()[at.protocol].seen(seen))
+    elif shown := _sent_otherwise(at, asked, seen):
+        message = f"{reply.label}: the device should have seen one request with {dict(asked.sent)}, it saw {shown}"
+        run.finding("not_written_once", message, requirement or "WR-001", evidence=protocols()[at.protocol].seen(seen))
+    if asked.points:
+        witness = Witness(noun="the device", describe=protocols()[at.protocol].describe)
+        found = witness.only_changed(before, await at.image(), asked.points)
+        run.witnessed([replace(finding, requirement=requirement or finding.requirement) for finding in found])
+
+
+def _sent_otherwise(at: Rig, asked: Asked, entries: Entries) -> Mapping[str, object]:
+    """Return what the request of a call says beside the value, where it is not what was asked for."""
+    exercise = exercise_of(at)
+    said = None if exercise.says is None else exercise.says(exercise.done(entries, asked)[0])
+    shown = {} if said is None else {name: said[name] for name in asked.sent if name in said}
+    return {} if all(asked.sent[name] == value for name, value in shown.items()) else shown
+
+
+def _effect(asked: Asked) -> str:
+    return f"{asked.operation} with {', '.join(f'{name}={value!r}' for name, value in asked.inputs.items())}"
+
+
+async def guarded(run: Repetition, at: Rig, asked: Asked) -> None:
+    """Call a command with writes disabled, and expect that it is refused and nothing arrives."""
+    reply = await at.call(asked.operation, **asked.inputs)
+    run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
+    run.witnessed(nothing_sent(at, _since(reply, await at.journal())))
+
+
+def nothing_sent(at: Rig, entries: Entries) -> list[Finding]:
+    """Expect that nothing among entries commands the plant, whose writes are disabled."""
+    return [replace(finding, requirement="WR-004") for finding in nothing_commanded(at.protocol, entries, at.declared)]
+
+
+def _since(reply: Reply, entries: Entries) -> Entries:
+    return [entry for entry in entries if entry["t_ns"] >= reply.exchange.sent_ns]

@@ -1,0 +1,43 @@
+"""WR: named commands, whose effect on the device the subject file states."""
+
+from __future__ import annotations
+
+from pytest_otmcp.protocols.exercise import Asked
+from pytest_otmcp.trial.check import Checks
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.rig import Rig
+
+from ..commanded import carried_out, exercise_of
+from ..within import allowed, commanding
+
+__all__ = ["TASKS"]
+
+TASKS = Checks()
+
+_DRAWN = 5
+"""Calls of each command with values that are drawn at random."""
+
+
+@TASKS.every_protocol(
+    "WR-014", "A named command does what the subject file states.", reads=False, writes=True, facets="commands"
+)
+async def commands_have_their_effect(run: Repetition, at: Rig) -> None:
+    """Call every named command with every value of a list, with the ends of a range, and with values drawn at random.
+
+    Said: success.
+    Seen: one request for each call, with the effect that the subject file states; where the device holds values, it holds these, and
+        everything else is as it was.
+    Why: an assistant knows a lamp or a pump by its name alone, and cannot see which register that is.
+    """
+    for asked in _every_command(run, at):
+        await carried_out(run, at, asked, requirement="WR-014")
+
+
+def _every_command(run: Repetition, at: Rig) -> list[Asked]:
+    """Return calls of each command, as far as the schemas of their tools allow them."""
+    every = [
+        commanding(at, exercise_of(at), operation, inputs)
+        for operation, command in at.commands()
+        for inputs in (*command.examples(), *(command.drawn(run.rng) for _ in range(_DRAWN)))
+    ]
+    return [asked for asked in every if allowed(at, asked)]

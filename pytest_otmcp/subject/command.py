@@ -1,0 +1,294 @@
+"""A named command: a tool with a vocabulary of its own, and its effect on the device as the subject file states it. Pure.
+
+The effect is one operation of the protocol that writes, with the values that the tool's arguments stand for. It is read in both
+directions: from arguments to what the device gets, and from what is asked of the device to the arguments that ask for it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import random
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..core.strict_json import same_json
+
+__all__ = ["LARGEST", "Command", "Draw", "is_computed", "is_number", "names_in"]
+
+_NUMBER = r"\d{1,15}(?:\.\d{1,9})?"
+_WHOLE = re.compile(rf"\$(?P<name>\w+)(?: ?\* ?(?P<scale>-?{_NUMBER}))?(?: ?(?P<sign>[+-]) ?(?P<offset>{_NUMBER}))?")
+"""A text that is one argument's value, or a number made from it, such as ``$percent * 10 + 5``."""
+_WITHIN = re.compile(r"\$([A-Za-z_]\w*)")
+"""An argument's value in the middle of a text."""
+_SMALLEST = 1e-9
+_DIGITS = 9
+"""Decimal places of a number that is drawn or scaled: 0.1 * 3 is 0.3."""
+_MOST_EXAMPLES = 64
+LARGEST = 2.0**53
+"""Whole numbers beyond it are not the same number to every reader of JSON (RFC 8259, section 6)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Draw:
+    """The values that the kit may give an argument.
+
+    Attributes:
+        values: each of them; empty for a range.
+        means: the device's value for each of ``values``, in their order; empty where a value is the device's own.
+        lowest, highest, step: of a range.
+    """
+
+    values: tuple[Any, ...] = ()
+    means: tuple[Any, ...] = ()
+    lowest: float = 0
+    highest: float = 0
+    step: float = 1
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether there is such a list, or such a range."""
+        if self.values:
+            return len(self.means) in (0, len(self.values))
+        return self.step >= _SMALLEST and -LARGEST <= self.lowest <= self.highest <= LARGEST
+
+    @property
+    def count(self) -> int:
+        """The number of values."""
+        return len(self.values) or int((self.highest - self.lowest) / self.step + 1e-9) + 1
+
+    def value(self, index: int) -> Any:
+        """Return the value with this number, from 0."""
+        return self.values[index] if self.values else _plain(self.lowest + index * self.step)
+
+    def meaning(self, index: int) -> Any:
+        """Return what the value with this number is at the device."""
+        return self.means[index] if self.means else self.value(index)
+
+    def ends(self) -> list[int]:
+        """Return the numbers of all values of a list, and of the first two and the last of a range."""
+        return [*range(self.count)] if self.values else sorted({0, min(1, self.count - 1), self.count - 1})
+
+    def nearest(self, number: float) -> list[int]:
+        """Return the numbers of the values that may mean this number at the device."""
+        if self.values:
+            return [*range(self.count)]
+        place = (number - self.lowest) / self.step
+        index = round(place) if math.isfinite(place) else -1
+        return [index] if 0 <= index < self.count else []
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Command:
+    """The effect of a tool on the device.
+
+    Attributes:
+        name: in the subject file.
+        draws: argument to the values that it may be given.
+        effect: template of the operation's inputs: ``$name`` is what an argument means at the device, also within a text, and with a
+            factor and a number to be added.
+        documents: inputs of the operation that are texts, and that the file states as a JSON document.
+    """
+
+    name: str
+    draws: Mapping[str, Draw]
+    effect: Mapping[str, Any]
+    documents: tuple[str, ...] = field(default=())
+
+    @property
+    def count(self) -> int:
+        """The number of calls that differ in their arguments."""
+        return math.prod(draw.count for draw in self.draws.values())
+
+    def drawn(self, rng: random.Random) -> dict[str, Any]:
+        """Return the operation's inputs for arguments that are drawn at random."""
+        return self._inputs({name: rng.randrange(draw.count) for name, draw in self.draws.items()})
+
+    def examples(self) -> list[dict[str, Any]]:
+        """Return the operation's inputs for every value of a list, and for the first two and the last of a range, each with the first values
+        of the other arguments."""
+        return [self._inputs(indices) for indices in self._examples()]
+
+    def _examples(self) -> Iterator[dict[str, int]]:
+        first = dict.fromkeys(self.draws, 0)
+        others = ({**first, name: index} for name, draw in self.draws.items() for index in draw.ends() if index)
+        return itertools.islice(itertools.chain((first,), others), _MOST_EXAMPLES)
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether the arguments cannot be told from their effect."""
+        return any(
+            not same_json(self.arguments(self._inputs(indices)), self._values(indices)) for indices in self._examples()
+        )
+
+    def _values(self, indices: Mapping[str, int]) -> dict[str, Any]:
+        return {name: draw.value(indices[name]) for name, draw in self.draws.items()}
+
+    def arguments(self, inputs: Mapping[str, object]) -> dict[str, Any] | None:
+        """Return the values of the tool's arguments that ask for these inputs of the operation; None where none do."""
+        if inputs.keys() != self.effect.keys():
+            return None
+        found: dict[str, int] = {}
+        for name, template in self.effect.items():
+            value = inputs[name]
+            if name in self.documents:
+                value = _document(value)
+            if not self._match(template, value, found):
+                return None
+        return self._values(found) if found.keys() >= self.draws.keys() else None
+
+    def effect_of(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the operation's inputs for these values of the arguments.
+
+        Raises:
+            LookupError: with the name of an argument whose value is none of those that are drawn.
+        """
+        indices = {}
+        for name, draw in self.draws.items():
+            value = arguments[name]
+            near = draw.nearest(value if is_number(value) and abs(value) < LARGEST else math.inf)
+            index = next((index for index in near if same_json(draw.value(index), value)), None)
+            if index is None:
+                raise LookupError(name)
+            indices[name] = index
+        return self._inputs(indices)
+
+    def pattern(self, name: str, wildcard: str) -> str:
+        """Return the text of an input with a wildcard in the place of each level, between slashes, that an argument has a part in."""
+        levels = str(self.effect[name]).split("/")
+        return "/".join(wildcard if _WITHIN.search(level) else level for level in levels)
+
+    @classmethod
+    def of_record(cls, stored: Mapping[str, Any]) -> Command:
+        """Return the command that a run record has.
+
+        Raises:
+            ValueError: no subject file has such a range.
+        """
+        draws = {name: Draw(**draw) for name, draw in stored["draws"].items()}
+        if not all(draw.is_possible for draw in draws.values()):
+            raise ValueError("a command draws from a range that there is not")
+        return cls(**{**stored, "draws": draws})
+
+    def _inputs(self, indices: Mapping[str, int]) -> dict[str, Any]:
+        filled = {name: self._filled(template, indices) for name, template in self.effect.items()}
+        return {name: json.dumps(value) if name in self.documents else value for name, value in filled.items()}
+
+    def _filled(self, template: Any, indices: Mapping[str, int]) -> Any:
+        if isinstance(template, Mapping):
+            return {name: self._filled(member, indices) for name, member in template.items()}
+        if isinstance(template, list | tuple):
+            return [self._filled(member, indices) for member in template]
+        if not isinstance(template, str):
+            return template
+        meanings = {name: draw.meaning(indices[name]) for name, draw in self.draws.items()}
+        whole = _WHOLE.fullmatch(template)
+        if whole is not None:
+            return _computed(whole, meanings[whole["name"]])
+        return _WITHIN.sub(lambda found: _text(meanings[found[1]]), template)
+
+    def _match(self, template: Any, value: Any, found: dict[str, int]) -> bool:
+        """Note the numbers of the values that make the template this value; return whether there are such."""
+        if isinstance(template, Mapping):
+            return (
+                isinstance(value, Mapping)
+                and template.keys() == value.keys()
+                and all(self._match(member, value[name], found) for name, member in template.items())
+            )
+        if isinstance(template, list | tuple):
+            return (
+                isinstance(value, list | tuple)
+                and len(template) == len(value)
+                and all(self._match(one, other, found) for one, other in zip(template, value, strict=True))
+            )
+        if not isinstance(template, str) or not names_in(template):
+            return same_json(template, value)
+        whole = _WHOLE.fullmatch(template)
+        if whole is not None:
+            return self._take(whole["name"], _candidates(whole, self.draws[whole["name"]], value), found)
+        return isinstance(value, str) and self._match_text(template, value, found)
+
+    def _match_text(self, template: str, text: str, found: dict[str, int]) -> bool:
+        parts = _WITHIN.split(template)
+        expression = "".join("(.+?)" if index % 2 else re.escape(part) for index, part in enumerate(parts))
+        match = re.fullmatch(expression, text, re.DOTALL)
+        return match is not None and all(
+            self._take(name, _said(self.draws[name], said), found)
+            for name, said in zip(parts[1::2], match.groups(), strict=True)
+        )
+
+    def _take(self, name: str, candidates: Iterable[int], found: dict[str, int]) -> bool:
+        index = next(iter(candidates), None)
+        if index is None:
+            return False
+        return found.setdefault(name, index) == index
+
+
+def names_in(template: object) -> set[str]:
+    """Return the names of the arguments that an effect refers to."""
+    if isinstance(template, str):
+        return set(_WITHIN.findall(template))
+    if isinstance(template, Mapping):
+        return set().union(*map(names_in, template.values()))
+    return set().union(*map(names_in, template)) if isinstance(template, list | tuple) else set()
+
+
+def is_computed(template: object, name: str) -> bool:
+    """Tell whether an effect makes a number from this argument, anywhere."""
+    if isinstance(template, Mapping | list | tuple):
+        members = template.values() if isinstance(template, Mapping) else template
+        return any(is_computed(member, name) for member in members)
+    whole = _WHOLE.fullmatch(template) if isinstance(template, str) else None
+    return whole is not None and whole["name"] == name and (whole["scale"] or whole["sign"]) is not None
+
+
+def is_number(value: object) -> bool:
+    """Tell whether a value is a number in JSON."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _factors(whole: re.Match[str]) -> tuple[float, float]:
+    offset = float(whole["offset"] or 0)
+    return float(whole["scale"] or 1), -offset if whole["sign"] == "-" else offset
+
+
+def _computed(whole: re.Match[str], meaning: Any) -> Any:
+    if whole["scale"] is None and whole["sign"] is None:
+        return meaning
+    scale, offset = _factors(whole)
+    return _plain(meaning * scale + offset)
+
+
+def _candidates(whole: re.Match[str], draw: Draw, value: Any) -> Iterator[int]:
+    scale, offset = _factors(whole)
+    # Beyond what a floating-point number holds nothing is drawn.
+    asked = (value - offset) / scale if scale and is_number(value) and abs(value) < LARGEST else math.inf
+    return (index for index in draw.nearest(asked) if same_json(_computed(whole, draw.meaning(index)), value))
+
+
+def _said(draw: Draw, said: str) -> Iterator[int]:
+    try:
+        number = float(said)
+    except ValueError:
+        number = 0.0
+    return (index for index in draw.nearest(number) if _text(draw.meaning(index)) == said)
+
+
+def _plain(number: float) -> float:
+    """Return a number without the last digits that only its calculation has made; a whole one as such."""
+    rounded = round(number, _DIGITS)
+    return int(rounded) if rounded == int(rounded) else rounded
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _document(text: object) -> Any:
+    try:
+        return json.loads(text) if isinstance(text, str) else None
+    except ValueError:
+        return None

@@ -1,0 +1,219 @@
+"""Defects of adapters with vocabularies of their own, which the checks of the area WR notice by the effect of named commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ...core import AdapterError, AdapterServer, Call
+from ..any_protocol import guard_after_sending
+from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of
+from .wr import sent_again
+
+__all__ = ["MUTANTS"]
+
+_SPEED, _VALVE, _START = "set_pump_speed", "move_valve", "press_start"
+_DIM, _SWITCH, _BELL = "set_brightness", "switch_light", "ring_bell"
+
+
+def nothing_sent(*names: str, answer: Callable[[Any], Data]) -> Bend:
+    """Return the defect that these tools say that they have done it, and send nothing."""
+
+    def instead(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            return answer(arguments)
+
+        return handler
+
+    return each(*names, change=instead)
+
+
+def asked_otherwise(name: str, **changes: Callable[[Any], Any]) -> Bend:
+    """Return the defect that a tool takes other values for these arguments than it is given."""
+
+    def bent(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            update = {argument: change(getattr(arguments, argument)) for argument, change in changes.items()}
+            data: Data = await genuine(call, arguments.model_copy(update=update))
+            return data
+
+        return handler
+
+    return each(name, change=bent)
+
+
+def carried_out_twice(*names: str) -> Bend:
+    """Return the defect that these tools send everything twice."""
+
+    def twice(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            await genuine(call, arguments)
+            data: Data = await genuine(call, arguments)
+            return data
+
+        return handler
+
+    return each(*names, change=twice)
+
+
+def made_up_for(*names: str, status: str) -> Bend:
+    """Return the defect that what these tools could not send is sent after the outage, when the status is asked for."""
+    kept: list[tuple[Handler, Any]] = []
+
+    def keeping(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code in ("connect_failed", "connection_lost"):
+                    kept.append((genuine, arguments))
+                raise
+            return data
+
+        return handler
+
+    def delivering(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            data: Data = await genuine(call, arguments)
+            while kept:
+                late, what = kept.pop()
+                await late(call, what)
+            return data
+
+        return handler
+
+    def bend(server: AdapterServer) -> None:
+        each(*names, change=keeping)(server)
+        each(status, change=delivering)(server)
+
+    return bend
+
+
+def denied_after_sending(*names: str) -> Bend:
+    """Return the defect that with writes disabled these tools do what they are asked for, and then deny it."""
+
+    def bend(server: AdapterServer) -> None:
+        if not server.writes_enabled:
+            for name in names:
+                guard_after_sending(name)(server)
+
+    return bend
+
+
+def _other(one: str, other: str) -> Callable[[Any], Any]:
+    return {one: other, other: one}.__getitem__
+
+
+_of_area = mutants_of("wr")
+
+
+def _mutant(id: str, protocol: str, sentence: str, bend: Bend, items: str, requirements: str) -> Mutant:
+    return _of_area(id, protocol, sentence, bend, items, requirements, named=True)
+
+
+MUTANTS: tuple[Mutant, ...] = (
+    _mutant(
+        "MU-02n",
+        "modbus",
+        "The valves are mixed up.",
+        asked_otherwise(_VALVE, valve=_other("inlet", "outlet")),
+        "WR-001.modbus WR-002.modbus WR-014.modbus",
+        "WR-001 WR-002 WR-014",
+    ),
+    _mutant(
+        "MU-02nq",
+        "mqtt",
+        "The lights are mixed up when one is dimmed.",
+        asked_otherwise(_DIM, light=_other("kitchen", "hall")),
+        "WR-003.mqtt WR-004.mqtt WR-005.mqtt WR-010.mqtt WR-014.mqtt",
+        "WR-001 WR-014",
+    ),
+    _mutant(
+        "MU-121n",
+        "modbus",
+        "The percentage of the speed is taken for a tenth of it.",
+        asked_otherwise(_SPEED, percent=lambda percent: percent / 10),
+        "WR-001.modbus WR-002.modbus WR-014.modbus",
+        "WR-001 WR-014",
+    ),
+    _mutant(
+        "MU-121nq",
+        "mqtt",
+        "A light is one step darker than it was asked for.",
+        asked_otherwise(_DIM, level=lambda level: max(0, level - 1)),
+        "WR-003.mqtt WR-004.mqtt WR-005.mqtt WR-010.mqtt WR-014.mqtt",
+        "WR-001 WR-014",
+    ),
+    _mutant(
+        "MU-14n",
+        "modbus",
+        "The start button is told as pressed, and nothing is sent.",
+        nothing_sent(_START, answer=lambda arguments: {"done": "the start button was pressed"}),
+        "WR-001.modbus WR-004.modbus WR-009.modbus WR-010.modbus WR-014.modbus",
+        "WR-001 WR-009 WR-014",
+    ),
+    _mutant(
+        "MU-14nq",
+        "mqtt",
+        "A light is told as switched, and nothing is sent.",
+        nothing_sent(_SWITCH, answer=lambda arguments: {"delivery": "acknowledged"}),
+        "WR-004.mqtt WR-010.mqtt WR-014.mqtt",
+        "MQT-001 WR-001 WR-014",
+    ),
+    _mutant(
+        "MU-20n",
+        "modbus",
+        "With writes disabled the start button is pressed, and then it is denied.",
+        denied_after_sending(_START),
+        "WR-004.modbus",
+        "WR-004",
+    ),
+    _mutant(
+        "MU-20nq",
+        "mqtt",
+        "With writes disabled the bell rings, and then it is denied.",
+        denied_after_sending(_BELL),
+        "WR-004.mqtt",
+        "WR-004",
+    ),
+    _mutant(
+        "MU-25n",
+        "modbus",
+        "A speed whose confirmation is lost is sent again.",
+        sent_again("timeout", "connection_lost", names=(_SPEED,)),
+        "WR-003.modbus",
+        "WR-003",
+    ),
+    _mutant(
+        "MU-25nq",
+        "mqtt",
+        "A brightness whose acknowledgement is lost is sent again as a new message.",
+        sent_again("timeout", "connection_lost", names=(_DIM,)),
+        "WR-003.mqtt",
+        "WR-003",
+    ),
+    _mutant(
+        "MU-25nt",
+        "modbus",
+        "A valve is moved twice by each call.",
+        carried_out_twice(_VALVE),
+        "WR-001.modbus WR-002.modbus WR-004.modbus WR-014.modbus",
+        "WR-003 WR-014",
+    ),
+    _mutant(
+        "MU-29n",
+        "modbus",
+        "A valve that could not be moved is moved after the outage.",
+        made_up_for(_VALVE, status="plant_status"),
+        "WR-010.modbus",
+        "WR-010",
+    ),
+    _mutant(
+        "MU-29nq",
+        "mqtt",
+        "A bell that could not be rung rings after the outage.",
+        made_up_for(_BELL, status="bridge_status"),
+        "WR-010.mqtt",
+        "WR-010",
+    ),
+)

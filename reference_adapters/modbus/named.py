@@ -1,0 +1,79 @@
+"""The Modbus TCP adapter with a vocabulary of its own: valves, buttons and a pump in the place of coils and registers."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from ..core import AdapterServer, Arguments, Call, tool
+from .adapter import build as build_adapter
+from .shapes import Nothing, Reachable, Unit, WriteCoil, WriteRegister
+from .tools import Tools
+
+__all__ = ["NamedTools", "build"]
+
+_VALVES = {"inlet": 4, "outlet": 5}
+_START_BUTTON = 10
+_PUMP_SPEED = 40
+"""Coils and a register of the plant."""
+
+
+class Speed(Arguments):
+    """The speed of the pump."""
+
+    percent: Annotated[float, Field(ge=0, le=100, multiple_of=0.5, description="of the full speed")]
+
+
+class Valve(Arguments):
+    """A valve and where it is to go."""
+
+    valve: Literal["inlet", "outlet"]
+    position: Literal["open", "closed"]
+
+
+class Done(TypedDict):
+    """A command that was carried out."""
+
+    done: str
+
+
+class NamedTools:
+    """The tools over those of the adapter."""
+
+    def __init__(self, tools: Tools) -> None:
+        self._tools = tools
+
+    @tool("modbus.ping")
+    async def plant_status(self, call: Call, arguments: Nothing) -> Reachable:
+        """Confirm that the plant answers."""
+        return await self._tools.ping(call, Unit())
+
+    @tool("modbus.write_holding", writes=True)
+    async def set_pump_speed(self, call: Call, arguments: Speed) -> Done:
+        """Set the speed of the pump."""
+        await self._tools.write_register(call, WriteRegister(address=_PUMP_SPEED, value=round(arguments.percent * 10)))
+        return {"done": f"the pump runs at {arguments.percent:g} %"}
+
+    @tool("modbus.write_coil", writes=True)
+    async def move_valve(self, call: Call, arguments: Valve) -> Done:
+        """Open or close a valve."""
+        state = arguments.position == "open"
+        await self._tools.write_coil(call, WriteCoil(address=_VALVES[arguments.valve], value=state))
+        return {"done": f"the {arguments.valve} valve is {arguments.position}"}
+
+    @tool("modbus.write_coil", writes=True)
+    async def press_start(self, call: Call, arguments: Nothing) -> Done:
+        """Press the start button."""
+        await self._tools.write_coil(call, WriteCoil(address=_START_BUTTON, value=True))
+        return {"done": "the start button was pressed"}
+
+
+def build() -> AdapterServer:
+    """Build the adapter that the environment configures.
+
+    Raises:
+        ConfigError: a setting cannot be used.
+    """
+    return build_adapter(NamedTools)

@@ -1,0 +1,84 @@
+"""The MQTT adapter with a vocabulary of its own: lights and a bell in the place of topics and payloads."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Literal
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from ..core import AdapterServer, Arguments, Call, tool
+from .adapter import build as build_adapter
+from .shapes import BrokerInfo, Nothing, Publish
+from .tools import Tools
+
+__all__ = ["NamedTools", "build"]
+
+_TRANSITION_S = 0.5
+"""Every light takes so long; the messages say it, too."""
+
+Room = Literal["kitchen", "hall"]
+
+
+class Brightness(Arguments):
+    """A light and how bright it is to be."""
+
+    light: Room
+    level: Annotated[int, Field(ge=0, le=254)]
+
+
+class Switch(Arguments):
+    """A light and what it is to be."""
+
+    light: Room
+    state: Literal["on", "off"]
+
+
+class Sent(TypedDict):
+    """A command that the broker has."""
+
+    delivery: str
+
+
+class NamedTools:
+    """The tools over those of the adapter."""
+
+    def __init__(self, tools: Tools) -> None:
+        self._tools = tools
+
+    @tool("mqtt.info")
+    async def bridge_status(self, call: Call, arguments: Nothing) -> BrokerInfo:
+        """Tell whether the lights can be reached."""
+        return await self._tools.get_broker_info(call, arguments)
+
+    @tool("mqtt.publish", writes=True, idempotent=False)
+    async def set_brightness(self, call: Call, arguments: Brightness) -> Sent:
+        """Dim a light."""
+        return await self._light(call, arguments.light, brightness=arguments.level)
+
+    @tool("mqtt.publish", writes=True, idempotent=False)
+    async def switch_light(self, call: Call, arguments: Switch) -> Sent:
+        """Switch a light."""
+        return await self._light(call, arguments.light, state=arguments.state.upper())
+
+    @tool("mqtt.publish", writes=True, idempotent=False)
+    async def ring_bell(self, call: Call, arguments: Nothing) -> Sent:
+        """Ring the bell."""
+        return await self._publish(call, "home/bell", "RING")
+
+    async def _light(self, call: Call, light: str, **members: object) -> Sent:
+        return await self._publish(call, f"home/{light}/set", json.dumps({**members, "transition": _TRANSITION_S}))
+
+    async def _publish(self, call: Call, topic: str, payload: str) -> Sent:
+        published = await self._tools.publish_message(call, Publish(topic=topic, payload=payload, qos=1))
+        return {"delivery": published["delivery"]}
+
+
+def build() -> AdapterServer:
+    """Build the adapter that the environment configures.
+
+    Raises:
+        ConfigError: a setting cannot be used.
+    """
+    return build_adapter(NamedTools)

@@ -1,0 +1,111 @@
+"""Honest adapters with a vocabulary of their own, whose commands reach the device in another form."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from typing import TYPE_CHECKING, Any
+
+from pytest_otmcp.reference_adapters.core import AdapterServer
+from pytest_otmcp.reference_adapters.modbus import named as modbus_named
+from pytest_otmcp.reference_adapters.modbus.shapes import WriteCoils, WriteRegisters
+from pytest_otmcp.reference_adapters.mqtt import named as mqtt_named
+from pytest_otmcp.reference_adapters.mqtt.shapes import Publish
+
+from pytest_otmcp.subject import named_subject
+
+from .choice import choices
+
+if TYPE_CHECKING:
+    from pytest_otmcp.subject import Adapter, Binding
+
+__all__ = ["MODBUS", "MQTT"]
+
+MODBUS, modbus = choices("modbus")
+MQTT, mqtt = choices("mqtt")
+
+
+def _named(adapter: Adapter) -> Adapter:
+    return dataclasses.replace(named_subject().adapters[adapter.protocol], variants=adapter.variants)
+
+
+def _without_qos(adapter: Adapter) -> Adapter:
+    named = _named(adapter)
+    operations = {
+        name: tuple(map(_any_qos, bound)) if isinstance(bound, tuple) else bound
+        for name, bound in named.operations.items()
+    }
+    return dataclasses.replace(named, operations=operations)
+
+
+def _any_qos(binding: Binding) -> Binding:
+    if binding.command is None:
+        return binding
+    effect = {name: value for name, value in binding.command.effect.items() if name != "qos"}
+    return dataclasses.replace(binding, command=dataclasses.replace(binding.command, effect=effect))
+
+
+def tools_of(server: AdapterServer, status: str) -> Any:
+    """Take the adapter's tools away, and return the object whose methods they are."""
+    tools = server._tools[status].handler.__self__  # type: ignore[attr-defined]
+    server._tools.clear()
+    return tools
+
+
+@modbus(
+    "commands several coils and several registers, one of each",
+    "MODBUS Application Protocol, sections 6.11 and 6.12: one cell may be written so",
+    described=_named,
+)
+def writes_blocks_of_one(server: AdapterServer) -> None:
+    genuine = tools_of(server, "ping")
+
+    class Blocks:
+        ping = staticmethod(genuine.ping)
+
+        async def write_register(self, call: Any, arguments: Any) -> None:
+            await genuine.write_registers(call, WriteRegisters(address=arguments.address, values=[arguments.value]))
+
+        async def write_coil(self, call: Any, arguments: Any) -> None:
+            await genuine.write_coils_bulk(call, WriteCoils(address=arguments.address, values=[arguments.value]))
+
+    server.add(modbus_named.NamedTools(Blocks()))  # type: ignore[arg-type]
+
+
+@mqtt(
+    "stamps each message with the time and an identifier",
+    "what a message says beyond what the subject file states is the adapter's own",
+    described=_named,
+)
+def stamps_its_messages(server: AdapterServer) -> None:
+    genuine = tools_of(server, "get_broker_info")
+
+    class Stamping:
+        get_broker_info = staticmethod(genuine.get_broker_info)
+
+        async def publish_message(self, call: Any, arguments: Publish) -> Any:
+            payload = arguments.payload
+            if payload.startswith("{"):
+                stamp = {"ts": time.time_ns(), "source": {"adapter": "otmcp"}}
+                payload = json.dumps({**stamp, **json.loads(payload)}, indent=1)
+            return await genuine.publish_message(call, arguments.model_copy(update={"payload": payload}))
+
+    server.add(mqtt_named.NamedTools(Stamping()))  # type: ignore[arg-type]
+
+
+@mqtt(
+    "publishes its commands with QoS 0",
+    "MQTT 3.1.1, section 4.3.1: a message that is not acknowledged; the subject file states no QoS",
+    described=_without_qos,
+)
+def commands_without_acknowledgement(server: AdapterServer) -> None:
+    genuine = tools_of(server, "get_broker_info")
+
+    class Unacknowledged:
+        get_broker_info = staticmethod(genuine.get_broker_info)
+
+        async def publish_message(self, call: Any, arguments: Publish) -> Any:
+            return await genuine.publish_message(call, arguments.model_copy(update={"qos": 0}))
+
+    server.add(mqtt_named.NamedTools(Unacknowledged()))  # type: ignore[arg-type]

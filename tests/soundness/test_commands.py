@@ -1,0 +1,130 @@
+"""Adapters with vocabularies of their own: honest ones are accused of nothing, each lie is found by the effect that the file states."""
+
+from __future__ import annotations
+
+import pytest
+
+from pytest_otmcp.core.matrix import REQUIREMENTS
+from pytest_otmcp.suite.catalogue import all_tasks
+
+from .conftest import Judge, failing, foreign_subject, passing, requirements, words
+
+EXPRESSED = "WR-003 WR-004 WR-005 WR-010 WR-014 ERR-006 TMO-004"
+"""Rows that need a write, whatever it is, and no read but a status."""
+
+HONEST = {
+    "modbus-valves": (f"{EXPRESSED} WR-001 WR-002 WR-009", "M1 S10 R-modbus"),
+    "mqtt-lights": (f"{EXPRESSED} MQT-001", "Q1 Q3 S8 S11 R-mqtt"),
+}
+
+LIES = {
+    ("modbus-valves", "writes-nothing"): ("WR-014", "WR-014"),
+    ("modbus-valves", "another-valve"): ("WR-014", "WR-014"),
+    ("modbus-valves", "another-value"): ("WR-014", "WR-014"),
+    ("modbus-valves", "writes-twice"): ("WR-014", "WR-014"),
+    ("modbus-valves", "writes-anyway"): ("WR-004", "WR-004"),
+    ("modbus-valves", "sends-again"): ("WR-003", "WR-003 TMO-001"),
+    ("modbus-valves", "delivers-later"): ("WR-010", "WR-010"),
+    ("mqtt-lights", "writes-nothing"): ("WR-014", "WR-014"),
+    ("mqtt-lights", "another-light"): ("WR-014", "WR-014"),
+    ("mqtt-lights", "another-value"): ("WR-014", "WR-014"),
+    ("mqtt-lights", "writes-twice"): ("WR-014", "WR-014"),
+    ("mqtt-lights", "writes-anyway"): ("WR-004", "WR-004"),
+    ("mqtt-lights", "sends-again"): ("WR-003", "WR-003 TMO-001"),
+    ("mqtt-lights", "delivers-later"): ("WR-010", "WR-010"),
+    ("mqtt-lights", "never-waits"): ("MQT-001", "MQT-001"),
+}
+"""Each lie with the row that is about it, and the requirements that may be cited."""
+
+QUICK = {"another-value", "writes-anyway"}
+
+
+def on(protocol: str, rows: str) -> set[str]:
+    return {f"{row}.{protocol}" for row in rows.split()}
+
+
+def checks_of(protocol: str) -> str:
+    every = all_tasks().values()
+    return " ".join(task.id for task in every if task.suite == REQUIREMENTS and protocol in task.adapters)
+
+
+@pytest.mark.parametrize("name", HONEST)
+def test_an_honest_adapter_with_a_vocabulary_of_its_own_passes_what_it_can_express(
+    judge_foreign: Judge, name: str
+) -> None:
+    protocol = name.partition("-")[0]
+    results = judge_foreign(name, tasks=" ".join(on(protocol, "WR-004 WR-005 WR-014")))
+    assert passing(results) == results.keys(), words(results)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", HONEST)
+def test_an_honest_adapter_with_a_vocabulary_of_its_own_is_accused_of_nothing(judge_foreign: Judge, name: str) -> None:
+    protocol = name.partition("-")[0]
+    rows, items = HONEST[name]
+    results = judge_foreign(name, tasks=checks_of(protocol))
+    assert failing(results) == set(), words(results)
+    assert passing(results) >= on(protocol, rows)
+    benchmark = judge_foreign(name)
+    assert failing(benchmark) == set(), words(benchmark)
+    assert passing(benchmark) == set(items.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "lie"), [pytest.param(*lie, marks=() if lie[1] in QUICK else pytest.mark.long) for lie in LIES]
+)
+def test_a_lie_about_a_command_is_found(judge_foreign: Judge, name: str, lie: str) -> None:
+    row, cited = LIES[name, lie]
+    identifier = f"{row}.{name.partition('-')[0]}"
+    results = judge_foreign(name, lie=lie, tasks=identifier)
+    assert failing(results) == {identifier}, words(results)
+    assert requirements(results) <= set(cited.split()), words(results)
+
+
+def test_what_a_command_cannot_express_does_not_apply(judge_foreign: Judge) -> None:
+    results = judge_foreign("modbus-valves", tasks="FM2 ADR-003.modbus")
+    assert {result["status"] for result in results.values()} == {"NOT_APPLICABLE"}
+    assert results["FM2"]["reason"] == (
+        "no named command of the subject can express write_holding with address=1, value=70000"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "described"),
+    [
+        ("modbus-valves", ('value = "$percent * 10"', 'value = "$percent * 5"')),
+        ("modbus-valves", ("address = 40", "address = 41")),
+        ("mqtt-lights", ('payload = "RING"', 'payload = "RING", qos = 2')),
+        ("mqtt-lights", ('payload = "RING"', 'payload = "RING", retain = true')),
+        ("mqtt-lights", ('state = "ON"', 'state = "ON", transition = 1')),
+    ],
+)
+def test_what_differs_from_the_subject_file_is_a_finding(
+    judge_foreign: Judge, name: str, described: tuple[str, str]
+) -> None:
+    identifier = f"WR-014.{name.partition('-')[0]}"
+    assert failing(judge_foreign(name, tasks=identifier, described=described)) == {identifier}
+
+
+EVERYWHERE = foreign_subject("named-everywhere").adapters
+
+
+@pytest.mark.parametrize(
+    "protocol", [pytest.param(one, marks=() if one == "opcua" else pytest.mark.long) for one in EVERYWHERE]
+)
+def test_named_commands_are_driven_on_every_protocol(judge_foreign: Judge, protocol: str) -> None:
+    rows = "WR-003 WR-004 WR-005 WR-010 WR-014"
+    results = judge_foreign("named-everywhere", tasks=" ".join(on(protocol, rows)))
+    assert passing(results) == on(protocol, rows), words(results)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("protocol", [one for one in EVERYWHERE if one not in ("bacnet", "profibus")])
+def test_an_adapter_that_reads_by_operations_and_writes_by_commands_is_accused_of_nothing(
+    judge_foreign: Judge, protocol: str
+) -> None:
+    results = judge_foreign("named-everywhere", tasks=checks_of(protocol))
+    assert failing(results) == set(), words(results)
+    assert passing(results) >= on(
+        protocol, "MCP-004 MCP-005 ERR-001 ERR-005 ERR-007 TMO-003 REC-001 WR-001 WR-002 WR-014"
+    )
