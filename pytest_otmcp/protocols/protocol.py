@@ -26,6 +26,7 @@ __all__ = [
     "CONTROL_GUARD",
     "GUARD",
     "LAUNCHES",
+    "READ",
     "RECOVERY",
     "Choice",
     "Colour",
@@ -55,6 +56,9 @@ RECOVERY = "recovery"
 
 ANY_READ = "any_read"
 """Facet that tasks need: one of the operations that the device itself has to answer, whichever the subject has."""
+
+READ = "read"
+"""Facet that checks need: the operation that the exercise reads with, or else the call that waits which takes its place."""
 
 
 Declared = Mapping[str, Sequence[str]]
@@ -365,6 +369,12 @@ class OtProtocol:
 
     def alternatives(self, facet: str, waiting: Collection[str]) -> tuple[str, ...]:
         """Return the facets of which a task needs any one, the best first; none where ``facet`` leaves no choice."""
+        if facet == READ and self.exercise is not None:
+            instead = self.exercise.waiting
+            return (
+                self.exercise.reading,
+                *([] if instead is None or instead.operation not in waiting else [instead.operation]),
+            )
         if facet != ANY_READ:
             return self.composites[facet].one_of if facet in self.composites else ()
         # A call that does not wait for messages returns what came before, so the device need not be there.

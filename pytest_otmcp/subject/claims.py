@@ -81,6 +81,9 @@ class Claims:
         found: list[str] = []
         for need in needs:
             protocol, _, name = need.partition(".")
+            if not name:
+                # An adapter for the protocol is needed, and nothing that it claims.
+                continue
             waiting = self._adapters[protocol].waiting if protocol in self._adapters else ()
             real = protocols()[protocol].required_facets(name, waiting, partial(self._has, protocol))
             found += [f"{protocol}.{facet}" for facet in real]

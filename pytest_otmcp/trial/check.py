@@ -13,7 +13,7 @@ from functools import wraps
 from typing import Any
 
 from ..core.matrix import REQUIREMENTS
-from ..protocols.protocol import GUARD, LAUNCHES
+from ..protocols.protocol import GUARD, LAUNCHES, READ
 from ..protocols.registry import protocols
 from .task import Steps, Task, Tasks
 
@@ -59,12 +59,14 @@ class Checks(Tasks):
         facets: str = "",
         having: str = "",
         apart: str = "",
+        prompt: bool = False,
     ) -> Callable[[Generic], Generic]:
         """Return a decorator that turns steps into a check of a row on each protocol that has an exercise.
 
         Args:
             row, title: as of :meth:`check`.
-            reads, writes: the steps use the operation that the protocol's exercise reads, or writes, with.
+            reads, writes: the steps use the operation that the protocol's exercise reads, or writes, with. Without either, and without
+                facets, they ask for what the subject has: every adapter of the protocol is asked.
             guard: the steps also get the read-only variant.
             launch: a facet that is a launch of its own, whose variant the steps get as well.
             beside: another such facet, whose variant they get where the subject claims it, else None; on a protocol without this facet they
@@ -72,6 +74,7 @@ class Checks(Tasks):
             facets: further facets, without their protocol, separated by blanks.
             having: member of the exercise that the steps use, and that not every protocol has.
             apart: keys of protocols that have a check of this row of their own, separated by blanks.
+            prompt: the steps read many times, or at once: a call that waits for what it answers is none for them.
         """
 
         def declare(steps: Generic) -> Generic:
@@ -82,8 +85,9 @@ class Checks(Tasks):
                 if launch and launch not in protocol.facets:
                     continue
                 launches = [*[GUARD] * guard, *[launch] * bool(launch)]
-                wanted = [*[exercise.reading] * reads, *[exercise.writing] * writes, *launches, *facets.split()]
-                needs = " ".join(f"{key}.{facet}" for facet in wanted)
+                reading = READ if exercise.waiting is not None and not prompt else exercise.reading
+                wanted = [*[reading] * reads, *[exercise.writing] * writes, *launches, *facets.split()]
+                needs = " ".join(f"{key}.{facet}" for facet in wanted) or key
                 optional = [beside] if beside in protocol.facets else []
                 guards = " ".join(f"{key}.{facet}" for facet in optional)
                 self.check(row, title, needs=needs, guards=guards)(_on(key, steps, [*launches, *optional]))
