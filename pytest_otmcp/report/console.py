@@ -16,7 +16,7 @@ from ..suite.levels import NOT_SHOWN, standings
 from ..suite.levels import said as level_of
 from ..suite.requirements import catalogue
 from . import Run, applied, applies, least, tally, timing_valid
-from .applying import not_applying
+from .applying import not_applying, nothing_asked
 from .causes import Cause, causes
 from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
@@ -198,9 +198,9 @@ def _verdict(run: Run, width: int | None) -> Iterator[Line]:
     note = f"{applied(run)}, {good}/{planned} runs passed"
     if found := len(warnings(items)):
         note += f", {counted(found, 'warning')}"
-    if footer.get("reason"):
-        note += f"; {footer['reason']}"
+    for told in (nothing_asked(run), footer.get("reason")):
+        note += f"; {told}" if told else ""
     verdict = footer.get("verdict", "INCOMPLETE")
-    told = printable(f"VERDICT: {verdict} ({note})")
-    for line in [told] if width is None else wrapped(told, width, "  "):
+    line_of_all = printable(f"VERDICT: {verdict} ({note})")
+    for line in [line_of_all] if width is None else wrapped(line_of_all, width, "  "):
         yield line, "ok" if verdict == "CONFORMANT" else "bad"
