@@ -39,6 +39,7 @@ __all__ = [
     "read",
     "refused_before_the_wire",
     "reset",
+    "said_of_repetitions",
     "silence",
     "since",
     "some_read",
@@ -210,17 +211,25 @@ def written_once(at: Rig, asked: Asked, entries: Entries, *, requirement: str | 
     Args:
         requirement: id of the requirement that anything else breaks; None is WR-001 for no write, WR-003 for several.
     """
-    count = len(exercise(at).done(entries, asked))
+    found = exercise(at).done(entries, asked)
+    count = len(found)
     if count == 1:
         return []
     return [
         Finding(
             code="not_written_once",
-            message=f"{at.protocol}: the device should have seen the write of {dict(asked.inputs)} once, it saw it {count} times",
+            message=f"{at.protocol}: the device should have seen the write of {dict(asked.inputs)} once, it saw it {count} times"
+            + said_of_repetitions(at, entries, found),
             requirement=requirement or ("WR-003" if count else "WR-001"),
             evidence=protocols()[at.protocol].seen(entries),
         )
     ]
+
+
+def said_of_repetitions(at: Rig, entries: Entries, found: Entries) -> str:
+    """Return the end of a sentence about a request that came several times: what the protocol's own rules say of that."""
+    told = protocols()[at.protocol].again(entries, found) if len(found) > 1 else ""
+    return f" ({told})" if told else ""
 
 
 def nothing_arrived(at: Rig, entries: Entries, *, requirement: str) -> list[Finding]:

@@ -41,6 +41,7 @@ from .steps import (
     nothing_arrived,
     polls,
     reset,
+    said_of_repetitions,
     silence,
     since,
     witness,
@@ -264,17 +265,20 @@ async def a_write_is_sent_once(run: Repetition, at: Rig) -> None:
         await at.watch(QUIET_S)
         if not reply.success:
             run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="WR-003", code_requirement="ERR-005")
-        run.witnessed(_at_most_once(at, reply, asks.done(since(reply, await at.journal()), asked), "WR-003"))
+        entries = since(reply, await at.journal())
+        run.witnessed(_at_most_once(at, reply, asks.done(entries, asked), "WR-003", entries))
 
 
-def _at_most_once(at: Rig, reply: Reply, found: Sequence[JournalEntry], requirement: str) -> list[Finding]:
+def _at_most_once(
+    at: Rig, reply: Reply, found: Sequence[JournalEntry], requirement: str, entries: Entries = ()
+) -> list[Finding]:
     if len(found) <= 1:
         return []
     return [
         Finding(
             code="written_twice",
             message=f"{reply.label}: after its answer was lost the device should have seen this write once, it saw it "
-            f"{len(found)} times",
+            f"{len(found)} times{said_of_repetitions(at, entries, found)}",
             requirement=requirement,
             evidence=protocols()[at.protocol].seen(found),
         )

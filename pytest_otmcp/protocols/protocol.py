@@ -226,6 +226,10 @@ def _any_answer(kind: str, asked: str) -> bool:
     return True
 
 
+def _nothing_to_say(entries: Entries, found: Entries) -> str:
+    return ""
+
+
 def _no_stamps(entries: Entries) -> Iterable[Stamp]:
     return ()
 
@@ -253,6 +257,8 @@ class OtProtocol:
             is None as long as there is none; None if that cannot be told without the answer.
         describe: describes one journal entry in a few words, for findings and the report.
         title: names a journal entry, for the report's conversations; None where the entry's kind is name enough.
+        again: says in one clause, of requests for the same thing among entries, what a client and a device have made of the protocol's own
+            rules for delivering a request again; empty where the protocol has none, or there was no occasion.
         contradiction: says in one clause where a journal entry differs from the bytes of the wire that it holds, or its members
             from one another; None where they agree.
         is_answer: tells whether an entry of one kind can be the answer to an entry of another.
@@ -295,6 +301,7 @@ class OtProtocol:
     colour: Colour
     changes: Callable[[Entries], Sequence[JournalEntry]] = _state_changing
     carried_out: Callable[[JournalEntry, JournalEntry | None], bool | None] = _assumed
+    again: Callable[[Entries, Entries], str] = _nothing_to_say
     contradiction: Callable[[JournalEntry], str | None] = _no_bytes
     is_answer: Callable[[str, str], bool] = _any_answer
     asking: Collection[str] = ()

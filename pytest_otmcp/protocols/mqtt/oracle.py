@@ -15,7 +15,7 @@ from ..oracle import Witness, requests
 from ..protocol import Declared
 from ..session_oracle import SessionOracle
 from .commands import commands
-from .entries import FirstPackets, MqttEntry, adapter_packets, describe, payload_of, shown
+from .entries import FirstPackets, MqttEntry, adapter_packets, delivered_again, describe, payload_of, shown
 from .entries import messages as published
 from .sparkplug_decoder import parse_topic
 from .sparkplug_oracle import Births, SparkplugSequence, broken_rule, commanded_once, ddata_metric, reported
@@ -304,6 +304,8 @@ def published_once(
     else:
         wanted = "once and nothing else"
         problem = f"it received {len(messages)} message(s)"
+        told = delivered_again(entries, [message for message in messages if _is(message, topic, payload)])
+        problem += f" ({told})" if told else ""
     return [
         Finding(
             code=code,
