@@ -11,13 +11,13 @@ from collections.abc import Iterator, Mapping
 from ..core.matrix import SUITES
 from ..record.consistency import count_calls
 from ..record.schema import Counted
-from ..record.warnings import said, warnings
+from ..record.warnings import passed_beside, said, warnings
 from ..suite.levels import NOT_SHOWN, standings
 from ..suite.levels import said as level_of
 from ..suite.requirements import catalogue
 from . import Run, applied, applies, least, tally, timing_valid
 from .applying import not_applying, nothing_asked
-from .causes import Cause, causes
+from .causes import Cause, causes, extent
 from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
 from .families import apart
@@ -30,6 +30,8 @@ __all__ = ["summary"]
 _NONE = "---"
 _SHOWN_CAUSES = 10
 _SHOWN_FINDINGS = 2
+_MANY = 4
+"""Items with the same fault that are counted and not named."""
 _LEAST_WIDTH = 40
 """Columns that every terminal has."""
 
@@ -78,7 +80,10 @@ def _suites(run: Run, width: int) -> Iterator[Line]:
             # One item of a suite that fails leaves nothing that could be said of each.
             known = [bound for bound in bounds if bound is not None] if not red and None not in bounds else []
             row = f"{name:<{wide}}{count(len(items) - len(red), len(items), _NONE):>7}{count(*tally(items), _NONE):>10}"
-            row += f"{at_least(min(known, default=None), _NONE):>16}{'   ' if red else ''}{' '.join(red)}"
+            alone = [item["id"] for item in items if passed_beside(item)]
+            named = [name for name in red if len(alone) < _MANY or name not in alone]
+            named += [f"and {len(alone)} with no finding but that of a session"] * (len(named) < len(red))
+            row += f"{at_least(min(known, default=None), _NONE):>16}{'   ' if red else ''}{' '.join(named)}"
             yield shortened(row, width), "bad" if red else "plain"
 
 
@@ -118,6 +123,8 @@ def _told(cause: Cause) -> Iterator[str]:
     place = "" if cause.repetition is None else f" rep {cause.repetition + 1}/{cause.where['planned']}"
     more = f", {counted(cause.times, 'time')} in all" if cause.times > 1 else ""
     yield f"{cause.where['id']}{place}{more}: {cause.first['message']} [{cause.first['code']}]"
+    if told := extent(cause):
+        yield told
     for message in cause.further[:_SHOWN_FINDINGS]:
         yield f"also: {message}"
     for key in subject_keys(cause.where):

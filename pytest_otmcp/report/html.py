@@ -16,7 +16,7 @@ from ..suite.requirements import catalogue, requirements
 from . import Item, Run, applied, applies, command, deadlines, overview, tally, timing_valid
 from .applying import nothing_asked
 from .capabilities import earned
-from .causes import causes
+from .causes import causes, extent
 from .drawings import latencies, recovery, strip, suite_strip
 from .evidence import failures
 from .families import applying_families
@@ -92,6 +92,7 @@ def page(run: Run) -> str:
         levels=_levels(run),
         no_level=NOT_SHOWN,
         causes=causes(run),
+        extent=extent,
         failures=failing,
         anchors=anchors,
         # The id of a failed item links to its evidence.

@@ -17,7 +17,7 @@ from ..suite.levels import said as level_of
 from ..suite.requirements import catalogue
 from . import Item, Run, applied, applies, command, deadlines, tally
 from .capabilities import earned
-from .causes import causes
+from .causes import causes, extent
 from .evidence import failures
 from .families import applying_families
 from .findings import cited, faults, subject_keys
@@ -131,6 +131,8 @@ def _causes(run: Run) -> Iterator[str]:
     for one in found[:_ITEMS]:
         told = escape(one.statement) or code(one.first["message"])
         yield f"- **{escape(one.rule)}** {escape(one.family)}, in {escape(' '.join(one.items))}: {told}"
+        if told_of := extent(one):
+            yield f"  - {told_of}"
         yield from (f"  - by library: {change}" for change in one.by_library)
     if len(found) > _ITEMS:
         yield f"- {len(found) - _ITEMS} more causes; see report.html"
