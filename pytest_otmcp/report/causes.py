@@ -66,7 +66,7 @@ def extent(cause: Cause) -> str:
     known = finding_codes().get(cause.first["code"])
     if known is None or not known.beside or len(cause.items) < _SEVERAL:
         return ""
-    return f"{cause.alone} of {len(cause.items)} items have no other finding, and show what they are about"
+    return f"{cause.alone} of {len(cause.items)} items have no other finding"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

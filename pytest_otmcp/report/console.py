@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from ..core.matrix import SUITES
 from ..record.consistency import count_calls
 from ..record.schema import Counted
-from ..record.warnings import passed_beside, said, warnings
+from ..record.warnings import said, warnings
 from ..suite.levels import NOT_SHOWN, standings
 from ..suite.levels import said as level_of
 from ..suite.requirements import catalogue
@@ -21,7 +21,7 @@ from .causes import Cause, causes, extent
 from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
 from .families import apart
-from .findings import subject_keys
+from .findings import beside, subject_keys
 from .strangers import strangers
 from .text import at_least, count, counted, printable, shortened
 
@@ -80,9 +80,10 @@ def _suites(run: Run, width: int) -> Iterator[Line]:
             # One item of a suite that fails leaves nothing that could be said of each.
             known = [bound for bound in bounds if bound is not None] if not red and None not in bounds else []
             row = f"{name:<{wide}}{count(len(items) - len(red), len(items), _NONE):>7}{count(*tally(items), _NONE):>10}"
-            alone = [item["id"] for item in items if passed_beside(item)]
+            alone = [item["id"] for item in items if beside(item)]
             named = [name for name in red if len(alone) < _MANY or name not in alone]
-            named += [f"and {len(alone)} with no finding but that of a session"] * (len(named) < len(red))
+            if len(named) < len(red):
+                named.append(f"and {len(alone)} for {'; '.join(dict.fromkeys(filter(None, map(beside, items))))}")
             row += f"{at_least(min(known, default=None), _NONE):>16}{'   ' if red else ''}{' '.join(named)}"
             yield shortened(row, width), "bad" if red else "plain"
 

@@ -83,6 +83,7 @@ class Claims:
             protocol, _, name = need.partition(".")
             if not name:
                 # An adapter for the protocol is needed, and nothing that it claims.
+                found += [] if self.has_adapter(protocol) else [need]
                 continue
             waiting = self._adapters[protocol].waiting if protocol in self._adapters else ()
             real = protocols()[protocol].required_facets(name, waiting, partial(self._has, protocol))

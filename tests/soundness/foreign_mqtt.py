@@ -348,6 +348,8 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
                 await asyncio.to_thread(link.close)
         return prose(f"Published to {topic}")
 
+    if lie == "says-hello":
+        print("Connected to the broker", flush=True)
     if lie == "needs-the-broker":
         # As servers do that connect while they start, and have no other plan.
         Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"])).open()

@@ -133,7 +133,7 @@ def test_of_a_fault_of_the_session_it_is_said_how_many_items_have_no_other_one()
         entry["samples"][1] |= {"ok": True}
     noise, write = causes_of(*quiet, failing("M3", "Modbus", finding("one write, it saw 0"), around=(NOISE,)))
     assert (noise.rule, noise.items, noise.alone) == ("MCP-001", ("M1", "M2", "M3"), 2)
-    assert extent(noise) == "2 of 3 items have no other finding, and show what they are about"
+    assert extent(noise) == "2 of 3 items have no other finding"
     assert extent(write) == ""
 
 
