@@ -47,6 +47,7 @@ NEIGHBOURS = [
     ("mcp/few-annotations", "M3 MCP-008.modbus"),
     ("mqtt/says-which-settings-it-has", "KEY-001.mqtt"),
     ("mqtt/helper-with-the-password", "KEY-001.mqtt"),
+    ("opcua/reads-before-browsing", "OUA-006.opcua"),
 ]
 """Honest adapters, each with the check that it is made for."""
 
