@@ -348,6 +348,14 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
                 await asyncio.to_thread(link.close)
         return prose(f"Published to {topic}")
 
+    def wordless(call: Any) -> Any:
+        async def called(*args: Any, **kwargs: Any) -> Result:
+            result: Result = await call(*args, **kwargs)
+            # As a server of the SDK answers for an exception without a text.
+            return prose(f"Error executing tool {call.__name__}: ", is_error=True) if result.get("isError") else result
+
+        return called if lie == "wordless" else call
+
     if lie == "says-hello":
         print("Connected to the broker", flush=True)
     if lie == "needs-the-broker":
@@ -355,8 +363,8 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
         Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"])).open()
     return Shape(
         tools={
-            "receive_message": ({"topic": "string", "timeout": "number"}, receive_message),
-            "publish_message": ({"topic": "string", "message": "string", "qos": "integer"}, publish_message),
+            "receive_message": ({"topic": "string", "timeout": "number"}, wordless(receive_message)),
+            "publish_message": ({"topic": "string", "message": "string", "qos": "integer"}, wordless(publish_message)),
         },
         served="sdk",
     )

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.record.warnings import warnings as warned
 from pytest_otmcp.subject import Adapter
 
 from .conftest import DEFECT, Judge, failing, foreign_subject, passing, requirements, words
@@ -111,3 +112,11 @@ def test_writes_without_any_read_are_a_matter_of_the_subject_file(judge_describe
         "MCP-010.mqtt": "PASS",
     }, words(results)
     assert "the subject file binds none: bind subscribe or messages or info" in results["Q3"]["reason"]
+
+
+@pytest.mark.long
+def test_failures_without_words_are_warned_of(judge_foreign: Judge) -> None:
+    results = judge_foreign("mqtt-wait", lie="wordless", tasks=on_mqtt("ERR-007", "MCP-010"))
+    assert failing(results) == set(), words(results)
+    assert "its text is 'Error executing tool receive_message: '" in words(results)
+    assert "ENV-006" in {one["requirement"] for one in warned(results.values())}
