@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ..protocols.journal import JournalEntry
-from ..protocols.proof import ENOUGH_BITS, Way
+from ..protocols.proof import ENOUGH_BITS, Question, Way
 from ..protocols.registry import protocols
 from .adapter_under_test import NoBindingError
 from .reply import Reply
@@ -112,7 +112,7 @@ async def prove(
         question = way.ask(rng)
         if not at.can_ask(way.operation, question.inputs):
             continue
-        attempt = await _try(at, way, rng, bits, int(_WINDOW_S * max(1.0, time_scale) * 1e9))
+        attempt = await _try(at, way, question, rng, bits, int(_WINDOW_S * max(1.0, time_scale) * 1e9))
         if attempt is None:
             unlisted.add(way.operation)
             continue
@@ -128,11 +128,12 @@ async def prove(
     return None, _explained(at, failed, known=preferred is not None)
 
 
-async def _try(at: Provable, way: Way, rng: random.Random, total: int, window_ns: int) -> _Attempt | None:
-    """Ask in one way until enough random bits came through, with those of other ways; None when the session does not list its tool."""
+async def _try(
+    at: Provable, way: Way, question: Question, rng: random.Random, total: int, window_ns: int
+) -> _Attempt | None:
+    """Ask in one way, this question first, until enough random bits came through, with those of other ways; None when the session does not list its tool."""
     begun_ns, reached = 0, False
     while True:
-        question = way.ask(rng)
         before = len(await at.journal())
         while True:
             for poke in question.pokes:
@@ -150,6 +151,7 @@ async def _try(at: Provable, way: Way, rng: random.Random, total: int, window_ns
         total += bits
         if total >= ENOUGH_BITS or not bits:
             return _Attempt(reply=reply, reached=reached, bits=total)
+        question = way.ask(rng)
 
 
 async def why_reachable(at: Provable, *, time_scale: float) -> str | None:
