@@ -305,3 +305,10 @@ def test_what_is_said_of_a_message_that_came_again_is_what_the_packets_say() -> 
     assert delivered_again(entries, entries[:1]) == ""
     once = journal(publish(), publish())
     assert delivered_again(once, once) == ""
+
+
+def test_a_connection_without_a_connect_is_none_of_the_session_whenever_it_was_made() -> None:
+    ended = journal({"direction": "in", "kind": "DISCONNECTED", "connection": 7})
+    assert oracle.session_stays_up(ended)
+    unnamed = [{**entry, "client_id": None} for entry in ended]
+    assert oracle.session_stays_up(unnamed) == []

@@ -428,7 +428,10 @@ def session_stays_up(entries: Entries, client_id: str | None = None) -> list[Fin
     packets = adapter_packets(entries, client_id=client_id)
     made_now = {entry["connection"] for entry in packets if entry["kind"] == "CONNECTED"}
     spoke = {entry["connection"] for entry in packets if entry["kind"] not in ("CONNECTED", "DISCONNECTED")}
-    packets = [entry for entry in packets if entry["connection"] not in made_now - spoke]
+    # One that was made before, and has no name yet, has not said CONNECT either.
+    named = {entry["connection"] for entry in packets if entry.get("client_id") is not None}
+    met = {entry["connection"] for entry in packets}
+    packets = [entry for entry in packets if entry["connection"] not in (made_now - spoke) | (met - spoke - named)]
     made = {entry["connection"] for entry in packets if entry["kind"] == "CONNECT"}
     left = {entry["connection"] for entry in packets if entry["kind"] == "DISCONNECT" and entry["direction"] == "in"}
     broken = {entry["connection"] for entry in packets if entry["kind"] == "malformed"}
