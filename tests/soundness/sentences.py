@@ -99,6 +99,8 @@ _RULES: Sequence[tuple[re.Pattern[str], Told]] = [
         (r"error code should be .*, it is ('[^']*'|None)$", _error_code),
         (r"error outcome should be .*, it is ('[^']*'|None)$", _outcome),
         (r"the error code is ('[^']*'|None), it was", _error_code),
+        (r"the adapter said (?:success|that it wrote )", _success),
+        (r"the reply (?:says|tells) .*\bwith success|the reply says success", _success),
         (r"answered after \d+ ms|answered with a", _answered),
         (r"the reply says (.*?)(?:….*)?$", _quotes),
         (r"says itself that it is not the device's: (.*)", _quotes),
@@ -110,7 +112,7 @@ _OTHER = re.compile(
     # About the list of tools, what an envelope says of itself, the wire, or the session: judged by other means, and from other parts.
     r"tools/list|inputSchema|annotation|\bmeta\b|\btrace\b|isError|structuredContent|stdout|stdin|its own words|"
     r"should have (?:seen|refused|received|granted|been asked|reached|answered|delivered|acknowledged|stayed)|a response carries|answered more than once|"
-    r"nothing was written|the kit itself"
+    r"nothing was written|the kit itself|was reported dead|success is True while"
 )
 
 
@@ -136,6 +138,9 @@ def _parts(item: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 def _holds(finding: Mapping[str, Any], calls: Sequence[Call]) -> bool:
     message = re.sub(r"^(?:setup|warmup|control): ", "", finding["message"])
+    if re.match(r"(?:\w+: )?as [\w.-]+: ", message):
+        # It repeats what another item has found, with the calls of that one.
+        return True
     named = [call for call in calls if message.startswith(f"{_label(call)}: ")]
     about = named or calls
     said = message.removeprefix(f"{_label(named[0])}: ") if named else message
