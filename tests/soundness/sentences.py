@@ -112,7 +112,7 @@ _OTHER = re.compile(
     # About the list of tools, what an envelope says of itself, the wire, or the session: judged by other means, and from other parts.
     r"tools/list|inputSchema|annotation|\bmeta\b|\btrace\b|isError|structuredContent|stdout|stdin|its own words|"
     r"should have (?:seen|refused|received|granted|been asked|reached|answered|delivered|acknowledged|stayed)|a response carries|answered more than once|"
-    r"nothing was written|the kit itself|was reported dead|success is True while"
+    r"nothing was written|the kit itself|was reported dead|success is True while|exited with|last stderr lines|the connect step|its text is"
 )
 
 
