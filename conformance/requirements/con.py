@@ -118,7 +118,7 @@ def _transactions(entries: Entries) -> list[Finding]:
     return findings[:1]
 
 
-@TASKS.every_protocol("CON-001", "Each of several calls gets its own answer.", having="distinct")
+@TASKS.every_protocol("CON-001", "Each of several calls gets its own answer.", having="distinct", prompt=True)
 async def each_read_gets_its_own(run: Repetition, at: Rig) -> None:
     """Read several values by 4, 16 and 64 calls at the same time, while the device answers late for every fourth of them.
 
@@ -352,7 +352,9 @@ def _kept(findings: Sequence[Finding]) -> list[Finding]:
     return [Finding(code=finding.code, message=finding.message, requirement="CON-004") for finding in findings]
 
 
-@TASKS.every_protocol("CON-004", "Reads beside writes give the old or a new value.", writes=True, having="contended")
+@TASKS.every_protocol(
+    "CON-004", "Reads beside writes give the old or a new value.", writes=True, having="contended", prompt=True
+)
 async def values_are_read_beside_writes(run: Repetition, at: Rig) -> None:
     """Write a value by two calls and read it by four, all at the same time, several times. Write different targets at the same time, by
     every operation that writes.
@@ -423,7 +425,7 @@ async def messages_are_published_beside_each_other(run: Repetition, mqtt: Rig) -
 # -- CON-005, CON-006 ---------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("CON-005", "A call that waits holds up nothing else.")
+@TASKS.every_protocol("CON-005", "A call that waits holds up nothing else.", prompt=True)
 async def a_call_that_waits_holds_up_nothing(run: Repetition, at: Rig) -> None:
     """Read while the device is silent; ask for the list of tools meanwhile; then cancel the call. Where the list came late, and only
     when the call had ended, do it once more.
@@ -461,7 +463,7 @@ async def _held_up_s(run: Repetition, at: Rig) -> float | None:
     return took_s[0] if late and not waiting.cancelled else None
 
 
-@TASKS.every_protocol("CON-006", "Many calls work, over few connections.")
+@TASKS.every_protocol("CON-006", "Many calls work, over few connections.", prompt=True)
 async def many_calls_need_few_connections(run: Repetition, at: Rig) -> None:
     """Read fifty times, in a soak a thousand times, one call after the other; then by 32 calls at the same time.
 

@@ -221,7 +221,7 @@ async def floats_in_nodes_keep_their_bits(run: Repetition, opcua: Rig) -> None:
                         run.judge(written, [finding])
 
 
-@TASKS.every_protocol("ENC-003", "Floating-point numbers keep their bits.", having="floats")
+@TASKS.every_protocol("ENC-003", "Floating-point numbers keep their bits.", having="floats", prompt=True)
 async def floats_keep_their_bits(run: Repetition, at: Rig) -> None:
     """Read numbers of 32 and 64 bits whose bits are random, the smallest and the largest, and -0; write some of 32 bits.
 
@@ -363,7 +363,7 @@ def _of_metric(reply: Reply, name: str, wanted: object, found: Mapping[str, Any]
     return Finding(code="wrong_value", message=message, requirement=requirement)
 
 
-@TASKS.every_protocol("ENC-004", "What is no number, or infinite, is told by its name.", having="floats")
+@TASKS.every_protocol("ENC-004", "What is no number, or infinite, is told by its name.", having="floats", prompt=True)
 async def special_numbers(run: Repetition, at: Rig) -> None:
     """Read a number of each type of floating-point numbers, then values of it that are NaN, infinite and minus infinite; read a number after
     them. Write texts with these names, and a number that is too large.
@@ -488,7 +488,7 @@ async def large_numbers_in_metrics(run: Repetition, mqtt: Rig) -> None:
             _judge_large(run, reply, _metric(reply, name).get("value"), value, name)
 
 
-@TASKS.every_protocol("ENC-005", "Large whole numbers arrive digit by digit.", having="large")
+@TASKS.every_protocol("ENC-005", "Large whole numbers arrive digit by digit.", having="large", prompt=True)
 async def large_numbers(run: Repetition, at: Rig) -> None:
     """Read whole numbers of 64 bits at and beyond 2^53 - 1 in both directions.
 
@@ -633,7 +633,7 @@ async def texts_of_the_identification_arrive_as_they_are(run: Repetition, modbus
 _UMLAUTS = "Gr\u00f6\u00dfe "
 
 
-@TASKS.every_protocol("ENC-006", "Text arrives as it is.", having="texts")
+@TASKS.every_protocol("ENC-006", "Text arrives as it is.", having="texts", prompt=True)
 async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
     """Read texts of many writings, texts with invisible characters, and one as long as the device has room for, as far as the device can hold
     them, and as the tool's schema allows; write texts, also some that it cannot hold, and one that is too long by a character.
@@ -710,7 +710,7 @@ def _can_hold(encoding: str, text: str) -> bool:
 # -- ENC-007 ----------------------------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("ENC-007", "Times are in UTC.", apart="opcua")
+@TASKS.every_protocol("ENC-007", "Times are in UTC.", apart="opcua", prompt=True)
 async def the_time_of_an_answer_is_utc(run: Repetition, at: Rig) -> None:
     """Read.
 

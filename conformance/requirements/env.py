@@ -40,7 +40,7 @@ _FLOAT_AT = 22
 # -- the shape --------------------------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("ENV-001", "Every result is an envelope.", writes=True)
+@TASKS.every_protocol("ENV-001", "Every result is an envelope.", writes=True, prompt=True)
 async def every_result_is_an_envelope(run: Repetition, at: Rig) -> None:
     """Read, write, have a call refused by the adapter, by the device and by a connection that breaks.
 
@@ -52,7 +52,7 @@ async def every_result_is_an_envelope(run: Repetition, at: Rig) -> None:
     await every_kind(run, at)
 
 
-@TASKS.every_protocol("ENV-002", "Success and error exclude each other.", writes=True, guard=True)
+@TASKS.every_protocol("ENV-002", "Success and error exclude each other.", writes=True, guard=True, prompt=True)
 async def success_or_error(run: Repetition, at: Rig, guarded: Rig) -> None:
     """Read, write, have a call refused by the adapter, by the device, by a connection that breaks, and by the write guard.
 
@@ -67,7 +67,7 @@ async def success_or_error(run: Repetition, at: Rig, guarded: Rig) -> None:
     run.fails(denied, "writes_disabled", outcome="not_sent", requirement="WR-004")
 
 
-@TASKS.every_protocol("ENV-003", "Every answer is strict JSON, whatever the device or the assistant says.")
+@TASKS.every_protocol("ENV-003", "Every answer is strict JSON, whatever the device or the assistant says.", prompt=True)
 async def answers_are_strict_json(run: Repetition, at: Rig) -> None:
     """Read with quotation marks, line separators and control characters in an argument; then, where it is claimed, read values that
     JSON does not have: NaN, both infinities, minus zero.
@@ -112,7 +112,7 @@ async def _read_specials(run: Repetition, at: Rig) -> None:
 # -- meta -------------------------------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("ENV-004", "The stated latency is the time of the call in milliseconds.")
+@TASKS.every_protocol("ENV-004", "The stated latency is the time of the call in milliseconds.", prompt=True)
 async def latency_is_measured(run: Repetition, at: Rig) -> None:
     """Read while the device answers at once, a tenth of a second late, and four tenths late.
 
@@ -128,7 +128,7 @@ async def latency_is_measured(run: Repetition, at: Rig) -> None:
         await at.delay(0)
 
 
-@TASKS.every_protocol("ENV-005", "The stated attempts are the requests that were sent.", writes=True)
+@TASKS.every_protocol("ENV-005", "The stated attempts are the requests that were sent.", writes=True, prompt=True)
 async def attempts_are_counted(run: Repetition, at: Rig) -> None:
     """Read and write; write without any argument; read and write while the device resets the connection once
     instead of answering.
@@ -186,7 +186,9 @@ def _is_reset(fault: object) -> bool:
     return isinstance(fault, Mapping) and "reset" in fault
 
 
-@TASKS.every_protocol("ENV-006", "meta is complete in every answer, and messages are for people.", writes=True)
+@TASKS.every_protocol(
+    "ENV-006", "meta is complete in every answer, and messages are for people.", writes=True, prompt=True
+)
 async def meta_is_complete(run: Repetition, at: Rig) -> None:
     """Read, write, have a call refused by the adapter, by the device and by a connection that breaks.
 
@@ -210,7 +212,7 @@ _REQUIRED = frozenset(
 )
 
 
-@TASKS.every_protocol("ENV-007", "The stated trace is what was on the wire.", writes=True)
+@TASKS.every_protocol("ENV-007", "The stated trace is what was on the wire.", writes=True, prompt=True)
 async def the_trace_is_the_wire(run: Repetition, at: Rig) -> None:
     """Read and write random values, and read while the device refuses it.
 
@@ -233,7 +235,7 @@ def _has_facts(run: Repetition, at: Rig, reply: Reply) -> None:
         _wrong(run, reply, "wrong_trace", f"meta.trace should have facts of the exchange, it is {trace!r}", "ENV-007")
 
 
-@TASKS.every_protocol("ENV-008", "An answer says where its data are from.", writes=True)
+@TASKS.every_protocol("ENV-008", "An answer says where its data are from.", writes=True, prompt=True)
 async def the_source_is_told(run: Repetition, at: Rig) -> None:
     """Read the same twice, write and read back where that is the same thing, have a call refused by the adapter, and read while the
     device resets every connection.

@@ -7,13 +7,14 @@ from typing import Any
 
 from pytest_otmcp.core.error_registry import WireCode, registry, wire_codes
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.journal import ADAPTER
+from pytest_otmcp.protocols.journal import ADAPTER, Entries
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from ..tasks.common import untold
 from .provoked import (
     VALIDATION,
     expect_failure,
@@ -289,11 +290,11 @@ async def outcomes_are_true(run: Repetition, at: Rig, guarded: Rig) -> None:
     run.fails(denied, "writes_disabled", outcome="not_sent", requirement="WR-004")
     refused = await wrongly_asked(run, at)
     if refused is not None:
-        run.fails(refused, *VALIDATION, outcome=NOTHING_SENT, requirement="ERR-006", code_requirement="ERR-001")
+        run.fails(refused, *VALIDATION, outcome=NOTHING_SENT, requirement="MCP-007", code_requirement="ERR-001")
     await guarded.watch(QUIET_S)
-    for rig, reply in ((guarded, denied), (at, refused)):
+    for rig, reply, otherwise in ((guarded, denied, "WR-004"), (at, refused, "WR-010")):
         if reply is not None:
-            run.witnessed(nothing_arrived(rig, _since(await rig.journal(), reply), requirement="ERR-006"))
+            run.witnessed(_not_arrived(rig, reply, _since(await rig.journal(), reply), otherwise))
     await at.fault(*({**rule, "times": 1} for rule in exercise(at).reset))
     asked, lost = await write(run, at)
     await at.fault()
@@ -313,13 +314,23 @@ async def _away(run: Repetition, at: Rig) -> None:
     await at.prove()
     await at.stop_device()
     _, away = await write(run, at)
-    run.fails(
-        away, *CONNECTION_FAULTS, outcome=("not_sent", "unknown"), requirement="ERR-006", code_requirement="ERR-005"
-    )
+    own = protocols()[at.protocol].operations[exercise(at).writing].requirement
+    run.fails(away, *CONNECTION_FAULTS, outcome=("not_sent", "unknown"), requirement=own, code_requirement="ERR-005")
     await at.start_device()
     await answers_again(run, at)
     await at.watch(QUIET_S)
-    run.witnessed(nothing_arrived(at, _since(await at.journal(), away), requirement="ERR-006"))
+    run.witnessed(_not_arrived(at, away, _since(await at.journal(), away), "WR-010"))
+
+
+def _not_arrived(at: Rig, reply: Reply, entries: Entries, otherwise: str) -> list[Finding]:
+    """Expect that nothing of a write that failed commands the plant; of one that claims success that claim is the fault.
+
+    Args:
+        otherwise: id of the requirement that it breaks where the adapter did not say that nothing was sent.
+    """
+    if reply.success is not False:
+        return []
+    return nothing_arrived(at, entries, requirement=untold(reply, otherwise))
 
 
 def _since(entries: Iterable[Any], reply: Reply) -> list[Any]:

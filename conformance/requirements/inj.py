@@ -87,7 +87,7 @@ def _writes(at: Rig, place: DeviceText) -> bool:
 # -- INJ-001 ----------------------------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("INJ-001", "A text of the device is data, and is marked as the device's.")
+@TASKS.every_protocol("INJ-001", "A text of the device is data, and is marked as the device's.", prompt=True)
 async def texts_of_the_device_are_data(run: Repetition, at: Rig) -> None:
     """Read what the device has as texts in each place that an operation returns, each a random word and an instruction to call a tool
     that writes; read them while the device refuses it. List the tools before, afterwards, and in a fresh session.
@@ -159,7 +159,7 @@ async def _same_tools(run: Repetition, at: Rig, first: str) -> None:
 # -- INJ-002 ----------------------------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("INJ-002", "Characters that mislead a terminal or a reader are not passed on.")
+@TASKS.every_protocol("INJ-002", "Characters that mislead a terminal or a reader are not passed on.", prompt=True)
 async def misleading_characters_are_not_passed_on(run: Repetition, at: Rig) -> None:
     """Read texts with control characters, a terminal's escape sequence, changes of the reading direction, a space without width and a
     tag, in each place that can hold them; then texts of 5000 characters.
@@ -243,7 +243,7 @@ class _Hostile:
         return interpreted(reply, what, member=self.member, product=self.product, plain=plain)
 
 
-@TASKS.every_protocol("INJ-003", "A text stays a text, wherever it comes from.")
+@TASKS.every_protocol("INJ-003", "A text stays a text, wherever it comes from.", prompt=True)
 async def texts_stay_texts(run: Repetition, at: Rig) -> None:
     """Read texts of the device, and give texts as arguments, that mean something to JSON, a shell, a template engine, a format or a file
     system; write such texts where the device holds texts. A text in which a line ends should not begin a line of its own on standard error.

@@ -27,12 +27,15 @@ from .steps import (
     CONNECTION_FAULTS,
     NOTHING_SENT,
     QUIET_S,
-    a_read_works,
     a_write_works,
     answers_again,
+    can_read,
     exercise,
+    it_answers,
     nothing_arrived,
     refused_before_the_wire,
+    some_read,
+    some_write,
 )
 
 __all__ = ["TASKS"]
@@ -85,10 +88,11 @@ def in_each_era(steps: Generic) -> Generic:
 # -- the stream and the start -----------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("MCP-001", "Standard output carries nothing but messages, whatever goes wrong.", writes=True)
+@TASKS.every_protocol("MCP-001", "Standard output carries nothing but messages, whatever goes wrong.", reads=False)
 @in_each_era
 async def only_messages(run: Repetition, at: Rig) -> None:
-    """Read, write, have a call refused by the adapter, by the device and by a connection that breaks.
+    """As far as the subject has operations for it read, write, have a call refused by the adapter, by the device and by a connection
+    that breaks; without any, list the tools again.
 
     Said: what fits each call.
     Seen: no line on standard output that is no message, from the start of the process.
@@ -97,25 +101,30 @@ async def only_messages(run: Repetition, at: Rig) -> None:
     await every_kind(run, at)
 
 
-@TASKS.every_protocol("MCP-002", "The adapter starts and lists its tools while its device is down.")
+@TASKS.every_protocol("MCP-002", "The adapter starts and lists its tools while its device is down.", reads=False)
 @in_each_era
 async def starts_without_its_device(run: Repetition, at: Rig) -> None:
-    """Start the adapter while its device is down, and read; start the device, and read again.
+    """Start the adapter while its device is down, and read, where the subject has a read; start the device, and read again.
 
-    Said: a failure of the connection first; success then, within the declared time.
+    Said: the list of tools; a failure of the connection first; success then, within the declared time.
     Seen: at least one connection once the device is there.
     Why: a server that ends because the plant is down cannot tell anybody that the plant is down.
     """
     if not at.reconnects:
         # A step that connects fails without the device, and there is no session then.
         run.not_applicable("the subject's connect step needs the device")
-    asked = exercise(at).read(run.rng)
+    asked = some_read(run, at)
     await at.stop_device()
     await at.fresh_session()
+    if asked is None:
+        await at.listed_tools()
+        await at.start_device()
+        await at.listed_tools()
+        return
     reply = await at.call(asked.operation, **asked.inputs)
     run.fails(reply, *CONNECTION_FAULTS, requirement="MCP-002", code_requirement="ERR-005")
     await at.start_device()
-    reply = await answers_again(run, at)
+    reply = await answers_again(run, at, by=asked)
     # The device began a journal of its own when it was started; the connection may be one whose owner is known by what it says alone.
     came = [await at.wait_for(timeout_s=0.0, **match) for match in ({"kind": "CONNECTED"}, {"request": True})]
     if reply.success and at.claims("recovery") and not any(came):
@@ -126,10 +135,11 @@ async def starts_without_its_device(run: Repetition, at: Rig) -> None:
 # -- what is listed ---------------------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("MCP-003", "Each tool declares its arguments.", writes=True)
+@TASKS.every_protocol("MCP-003", "Each tool declares its arguments.", reads=False)
 @in_each_era
 async def schemas_say_what_is_taken(run: Repetition, at: Rig) -> None:
-    """Look at the list of tools; then write without each argument that the tool does not say it requires.
+    """Look at the list of tools; then, where the subject has a write, write without each argument that the tool does not say it
+    requires.
 
     Said: every name is a legal one, every `inputSchema` is a valid JSON Schema of the type object; what is refused for a missing
         argument says that it requires it. Bounds of addresses, counts and QoS should be declared.
@@ -138,13 +148,13 @@ async def schemas_say_what_is_taken(run: Repetition, at: Rig) -> None:
     """
     listed = await at.tool_list()
     run.witnessed([fault for name, entry in listed.items() for fault in _listing_faults(name, entry["inputSchema"])])
-    await a_read_works(run, at)
-    asked = exercise(at).write(run.rng)
-    for operation, inputs in (
-        (exercise(at).reading, exercise(at).read(run.rng).inputs),
-        (asked.operation, asked.inputs),
-    ):
-        run.witnessed(_unbounded(at, listed, operation, inputs))
+    await it_answers(run, at)
+    asked, reading = some_write(run, at), exercise(at).read(run.rng)
+    bounded = [reading] if at.can_ask(reading.operation, reading.inputs) else []
+    for one in bounded if asked is None else (*bounded, asked):
+        run.witnessed(_unbounded(at, listed, one.operation, one.inputs))
+    if asked is None:
+        return
     tool = at.tool_of(asked.operation, **asked.inputs)
     schema = _schema(listed, tool)
     said = {*generated.required(schema), *generated.required_by_an_alternative(schema)}
@@ -235,29 +245,31 @@ def _says_bounds(argument: Mapping[str, Any]) -> bool:
     )
 
 
-@TASKS.every_protocol("MCP-010", "The list of tools stays as it is.", writes=True)
+@TASKS.every_protocol("MCP-010", "The list of tools stays as it is.", reads=False)
 @in_each_era
 async def the_list_stays(run: Repetition, at: Rig) -> None:
-    """List the tools; again after reads and a write, after refusals, after the device has said what looks like an instruction, and in a
-    fresh session.
+    """List the tools; again after reads, a write and refusals, as far as the subject has operations for them, after the device has said
+    what looks like an instruction, and in a fresh session.
 
     Said: the same entries, to the byte, and they should be in the same order.
     Seen: the calls in between.
     Why: a description that holds a name from the device is a way into the assistant.
     """
     first = await at.listed_tools()
-    await a_read_works(run, at)
-    await a_write_works(run, at)
-    await refused_by_the_adapter(run, at)
-    await refused_by_the_device(run, at, requirement="ERR-001")
-    _same_list(run, at, first, await at.listed_tools(), "after six calls")
+    await it_answers(run, at)
+    if some_write(run, at) is not None:
+        await a_write_works(run, at)
+        await refused_by_the_adapter(run, at)
+    if can_read(run, at):
+        await refused_by_the_device(run, at, requirement="ERR-001")
+    _same_list(run, at, first, await at.listed_tools(), "after calls that succeed and calls that fail")
     await _meet_hostile_names(run, at)
     _same_list(
         run, at, first, await at.listed_tools(), "after the device said something that looks like an instruction"
     )
     await at.fresh_session()
     _same_list(run, at, first, await at.listed_tools(), "in a fresh session")
-    await a_read_works(run, at)
+    await it_answers(run, at)
 
 
 async def _meet_hostile_names(run: Repetition, at: Rig) -> None:
@@ -274,7 +286,8 @@ async def _meet_hostile_names(run: Repetition, at: Rig) -> None:
         await at.poke(namespaces=[])
     elif at.protocol == "mqtt":
         message = {"topic": f"otmcp/{_INSTRUCTION}", "payload": "YQ==", "qos": 0, "retain": False}
-        if at.can_ask("messages", {"filter": "otmcp/#"}) and not at.blocks("messages"):
+        asked = ("subscribe", {"filter": "otmcp/#", "qos": 0}), ("messages", {"filter": "otmcp/#"})
+        if all(at.can_ask(*one) for one in asked) and not at.blocks("messages"):
             await at.call("subscribe", filter="otmcp/#", qos=0)
             await at.poke(publish=message)
             await at.call("messages", filter="otmcp/#")
@@ -300,18 +313,26 @@ def _same_list(run: Repetition, at: Rig, first: str, now: str, when: str) -> Non
 # -- arguments --------------------------------------------------------------------------------------------------------
 
 
-@TASKS.every_protocol("MCP-004", "An argument that the tool does not have is refused, not ignored.", writes=True)
+@TASKS.every_protocol("MCP-004", "An argument that the tool does not have is refused, not ignored.", reads=False)
 @in_each_era
 async def unknown_arguments_are_refused(run: Repetition, at: Rig) -> None:
-    """Write with one argument too many, and with a misspelt one; then write as it should be.
+    """Write with one argument too many, and with a misspelt one; then write as it should be. Where the subject has no write, read in
+    this way.
 
     Said: a failure with `invalid_input` and the outcome `not_sent` both times; then success.
-    Seen: no request that changes the plant; then one.
+    Seen: no request that changes the plant; then one, of a write.
     Why: an assistant that spells `unit` for `slave_id` would command another device than it meant.
     """
-    asked = exercise(at).write(run.rng)
+    writing = some_write(run, at)
+    asked = writing or some_read(run, at)
+    if asked is None:
+        run.not_applicable(
+            "no operation is bound, so no tool is known that may be called with an argument of another one"
+        )
     if at.tool_of(asked.operation, **asked.inputs) is None:
         run.not_applicable(f"{asked.operation} is not performed by one tool call")
+    for poke in asked.pokes:
+        await at.poke(**poke)
     changes = [Alteration(given={UNKNOWN_ARGUMENT: 7})]
     arguments = at.arguments_of(asked.operation, **asked.inputs) or {}
     for name, argument in sorted(arguments.items())[:1]:
@@ -319,7 +340,7 @@ async def unknown_arguments_are_refused(run: Repetition, at: Rig) -> None:
     for altered in changes:
         reply = await at.call_altered(asked.operation, altered, **asked.inputs)
         await refused_before_the_wire(run, at, reply, "invalid_input", requirement="MCP-004")
-    await a_write_works(run, at)
+    await (it_answers if writing is None else a_write_works)(run, at)
 
 
 @TASKS.every_protocol("MCP-005", "What is to be written is not made into another JSON type.", writes=True)
@@ -361,26 +382,29 @@ async def _not_taken(run: Repetition, at: Rig, reply: Reply, before: Mapping[str
     run.witnessed(nothing_arrived(at, entries, requirement="MCP-005"))
 
 
-@TASKS.every_protocol("MCP-007", "Bad arguments are answered by a tool's error, and the session goes on.")
+@TASKS.every_protocol("MCP-007", "Bad arguments are answered by a tool's error, and the session goes on.", reads=False)
 @in_each_era
 async def bad_arguments_are_answered(run: Repetition, at: Rig) -> None:
-    """Read without any argument, without each one that is required, with objects and lists for texts and numbers, and beyond the bounds
-    that the tool states; call a tool that does not exist; then read as it should be.
+    """Call a tool that does not exist. Where the subject has a read: read without any argument, without each one that is required, with
+    objects and lists for texts and numbers, and beyond the bounds that the tool states; then as it should be.
 
     Said: a failure each time, as the result of a tool, or for the unknown tool as an error of the protocol; then success.
     Seen: the last read.
     Why: one misspelt argument must not end the session with the plant.
     """
-    asked = exercise(at).read(run.rng)
-    tool, arguments = at.tool_of(asked.operation, **asked.inputs), at.arguments_of(asked.operation, **asked.inputs)
-    if tool is None or not arguments:
-        run.not_applicable(f"{asked.operation} is not performed by one tool call whose arguments could be changed")
-    schema = _schema(await at.tool_list(), tool)
-    for altered in _bad(run, schema, arguments):
-        expect_failure(run, await at.call_altered(asked.operation, altered, **asked.inputs), requirement="MCP-007")
-    unknown = await at.call_altered(asked.operation, Alteration(tool=_NO_SUCH_TOOL), **asked.inputs)
-    expect_failure(run, unknown, requirement="MCP-007")
-    await a_read_works(run, at, requirement="MCP-007")
+    refused = await at.refuses(_NO_SUCH_TOOL)
+    if not refused:
+        what = "was not answered in time" if refused is None else "should have failed, it claims success"
+        message = f"{at.protocol}: a call of the tool {_NO_SUCH_TOOL!r}, which does not exist, {what}"
+        run.finding("no_reply" if refused is None else "not_refused", message, requirement="MCP-007")
+    asked = some_read(run, at)
+    tool = None if asked is None else at.tool_of(asked.operation, **asked.inputs)
+    arguments = None if asked is None else at.arguments_of(asked.operation, **asked.inputs)
+    if asked is not None and tool is not None and arguments:
+        schema = _schema(await at.tool_list(), tool)
+        for altered in _bad(run, schema, arguments):
+            expect_failure(run, await at.call_altered(asked.operation, altered, **asked.inputs), requirement="MCP-007")
+    await it_answers(run, at, requirement="MCP-007")
 
 
 def _bad(run: Repetition, schema: object, arguments: Mapping[str, str]) -> list[Alteration]:
@@ -471,21 +495,23 @@ def _arguments(run: Repetition, schema: object, known: Mapping[str, Any]) -> lis
     return made
 
 
-@TASKS.every_protocol("MCP-009", "The adapter survives what is no request, and ends with its standard input.")
+@TASKS.every_protocol(
+    "MCP-009", "The adapter survives what is no request, and ends with its standard input.", reads=False
+)
 @in_each_era
 async def survives_and_ends(run: Repetition, at: Rig) -> None:
-    """Send lines that are no message, notifications that do not exist, and cancel requests that were never sent or are over; read;
-    close standard input.
+    """Send lines that are no message, notifications that do not exist, and cancel requests that were never sent or are over; read, or
+    without an operation for it list the tools; close standard input.
 
     Said: success for the read.
     Seen: the process ends by itself within five seconds; a new one reads, too.
     Why: clients cancel late and vanish: servers that cannot bear it are left running by the hundred, each with a connection to the plant.
     """
-    await a_read_works(run, at)
+    await it_answers(run, at)
     for line in _WITHOUT_MEANING:
         await at.send_line(line)
     try:
-        await a_read_works(run, at, requirement="MCP-009")
+        await it_answers(run, at, requirement="MCP-009")
     except EndedError:
         # The check may also have ended because it found the same fault again and again.
         if not run.ledger.repeats_itself:
@@ -493,4 +519,4 @@ async def survives_and_ends(run: Repetition, at: Rig) -> None:
             run.finding("session_lost", message, requirement="MCP-009")
         raise
     await at.fresh_session()
-    await a_read_works(run, at)
+    await it_answers(run, at)

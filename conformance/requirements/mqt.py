@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt import oracle
 from pytest_otmcp.protocols.mqtt.entries import adapter_packets, messages, payload_of
@@ -19,7 +20,7 @@ from pytest_otmcp.trial.rig import Rig
 from ..commanded import some_command
 from ..tasks.messages import collect, publish_from_kit, sync_point
 from .mqtt_steps import nonce, until, until_it_works
-from .steps import CONNECTION_FAULTS, answers_again, citing, exercise, since
+from .steps import CONNECTION_FAULTS, answers_again, citing, exercise, since, some_read
 
 __all__ = ["TASKS"]
 
@@ -140,7 +141,12 @@ async def _unacknowledged(run: Repetition, mqtt: Rig, qos: int, rule: Mapping[st
     run.witnessed(_acknowledged(reply, await mqtt.journal(), payload))
     if not reply.success:
         run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
-    await until_it_works(run, mqtt, "subscribe", filter=f"otmcp/{nonce(run)}", qos=0)
+    asked = some_read(run, mqtt) or Asked(
+        operation="publish", inputs={"topic": _PUMP, "payload": f"again-{nonce(run)}", "qos": 0}
+    )
+    for poke in asked.pokes:
+        await mqtt.poke(**poke)
+    await until_it_works(run, mqtt, asked.operation, **asked.inputs)
 
 
 async def _nobody_is_there(run: Repetition, mqtt: Rig) -> None:

@@ -407,17 +407,26 @@ _MORE = 7_500
 _MOST_NODES = 50
 
 
-@TASKS.check("OUA-006", "Browsing is complete, comes to an end, and leaves nothing behind.", needs="opcua.browse")
+@TASKS.check(
+    "OUA-006",
+    "Browsing is complete, comes to an end, and leaves nothing behind.",
+    needs="opcua.browse",
+    keys="opcua.probes.missing_node",
+)
 async def browsing_is_complete(run: Repetition, opcua: Rig) -> None:
     """Ask for all variables while three folders are in each other, one of them has 120 variables, and the server takes 50 nodes in one
-    request. Browse a folder with 2 500 variables, in a soak 10 000, while the server sends 100 references in one answer.
+    request. Browse a folder with 2 500 variables, in a soak 10 000, while the server sends 100 references in one answer. Browse a node
+    that the server does not have.
 
-    Said: every node once; or a part of them, and in `meta.truncated` that it is a part.
+    Said: every node once; or a part of them, and in `meta.truncated` that it is a part. For the missing node a failure with
+        `illegal_address`, or with `invalid_input` by an adapter with a list of nodes of its own.
     Seen: no continuation point is left open.
-    Why: the first page looks like the whole plant, a circle like a plant without end, and a server has few continuation points.
+    Why: an empty list says that a folder has nothing in it, not that there is no such folder; the first page looks like the whole plant, a circle like a plant without end, and a server has few continuation points.
     """
     if opcua.claims("variables"):
         await _circles_come_to_an_end(run, opcua)
+    missing = await opcua.call("browse", node=opcua.probe("missing_node"))
+    run.fails(missing, "illegal_address", "invalid_input", requirement="OUA-006", code_requirement="ERR-003")
     folder = "ns=2;s=Wide.Folder"
     await opcua.poke(nodes="wide")
     wanted = {"ns=2;s=Wide", *(f"ns=2;s=Wide{number}" for number in range(1, _CHILDREN))}

@@ -194,6 +194,8 @@ async def what_is_read_is_fresh(run: Repetition, at: Rig) -> None:
     for reply in (first, *again):
         run.fails(reply, *CONNECTION_FAULTS, requirement="RD-004", code_requirement="REC-002")
     await at.start_device()
+    for poke in asked.pokes:
+        await at.poke(**poke)
     replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, **asked.inputs)
     run.succeeds(replies[-1], requirement="REC-001")
 

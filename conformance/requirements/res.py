@@ -82,7 +82,7 @@ _SLOW_S = 0.05
 _REFUSALS = ("rate_limited", "device_busy", "limit_exceeded")
 
 
-@TASKS.every_protocol("RES-001", "Nothing leaks.", facets="recovery")
+@TASKS.every_protocol("RES-001", "Nothing leaks.", facets="recovery", prompt=True)
 async def nothing_leaks(run: Repetition, at: Rig) -> None:
     """Read many times; read while connections are reset, cancel reads, stop and start the device, each several times. Do it once
     with few of each and then with many, and where something has grown once more. Then read, 25 times between two looks at the
@@ -243,7 +243,7 @@ def _grown(before: Footprint, after: Footprint) -> dict[str, str]:
     return {name: f"{then}, then {now}" for name, (then, now, most) in more.items() if now > then + most}
 
 
-@TASKS.every_protocol("RES-003", _SURVIVES, facets="recovery", apart="mqtt opcua")
+@TASKS.every_protocol("RES-003", _SURVIVES, facets="recovery", apart="mqtt opcua", prompt=True)
 async def a_hostile_device(run: Repetition, at: Rig) -> None:
     """Read while every answer is mangled at random: bits, missing bytes, further bytes. After every batch read without a fault.
     Then have some answers mangled on connections that stay.
@@ -360,7 +360,7 @@ def _mangled(rng: random.Random) -> bytes:
     return bytes(changed) + rng.randbytes(rng.choice((0, 0, 3, 200)))
 
 
-@TASKS.every_protocol("RES-004", "Too many calls are refused, and do not wait without end.")
+@TASKS.every_protocol("RES-004", "Too many calls are refused, and do not wait without end.", prompt=True)
 async def overload_is_refused(run: Repetition, at: Rig) -> None:
     """Read by hundreds of calls at the same time while the device is slow; read once it is not.
 

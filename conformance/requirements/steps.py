@@ -27,10 +27,12 @@ __all__ = [
     "a_read_works",
     "a_write_works",
     "answers_again",
+    "can_read",
     "citing",
     "exact_or_refused",
     "exercise",
     "faulty",
+    "it_answers",
     "knows_node",
     "most_characters",
     "nothing_arrived",
@@ -38,8 +40,11 @@ __all__ = [
     "read",
     "refused_before_the_wire",
     "reset",
+    "said_of_repetitions",
     "silence",
     "since",
+    "some_read",
+    "some_write",
     "vanishing",
     "witness",
     "works_again",
@@ -49,6 +54,9 @@ __all__ = [
 
 QUIET_S = 0.25
 """Seconds for which a device is watched for a request that must not come."""
+
+_WAITS_S = 1
+"""Seconds that a call may wait for a message, which comes a tenth of a second after it has subscribed."""
 
 _POLLED_S = 3.0
 """How long is looked for requests that nobody has asked for, before equal requests are held against a call."""
@@ -63,7 +71,51 @@ def exercise(at: Rig) -> Exercise:
     """Return what checks for every protocol do on this one, within the bounds that the adapter's tools state."""
     found = protocols()[at.protocol].exercise
     assert found is not None, f"{at.protocol} has no exercise, so it has no such checks"
+    waiting = found.waiting
+    if waiting is not None and not at.claims(found.reading) and at.blocks(waiting.operation):
+        seconds = math.ceil(_WAITS_S * max(1.0, at.time_scale))
+        found = replace(found, reading=waiting.operation, read=lambda rng: waiting.read(rng, seconds))
     return within(at, found)
+
+
+def can_read(run: Repetition, at: Rig) -> bool:
+    """Tell whether the subject has the read of the exercise."""
+    asked = exercise(at).read(run.rng)
+    return at.can_ask(asked.operation, asked.inputs)
+
+
+def some_read(run: Repetition, at: Rig) -> Asked | None:
+    """Make a read by whichever operation the subject has that the device has to answer, that of the exercise first; None where it has
+    none."""
+    described = protocols()[at.protocol]
+    others = [Asked(operation=one.operation, inputs=one.made(run.rng)) for one in described.proof.unreachable]
+    return next((asked for asked in (exercise(at).read(run.rng), *others) if _is_read(at, asked)), None)
+
+
+def _is_read(at: Rig, asked: Asked) -> bool:
+    # A call that does not wait for messages returns what came before, so the device need not be there.
+    waits = protocols()[at.protocol].operations[asked.operation].waits
+    return at.can_ask(asked.operation, asked.inputs) and (waits is None or at.blocks(asked.operation))
+
+
+def some_write(run: Repetition, at: Rig) -> Asked | None:
+    """Make the exercise's write; None where the subject has no operation for it, or none that proves its session first."""
+    asked = exercise(at).write(run.rng)
+    ways = protocols()[at.protocol].proof.ways
+    # Each makes its random numbers: what was never asked has no bindings in a record.
+    provable = [at.can_ask(way.operation, way.ask(run.rng).inputs) for way in ways]
+    return asked if at.can_ask(asked.operation, asked.inputs) and any(provable) else None
+
+
+async def it_answers(run: Repetition, at: Rig, *, requirement: str | None = None) -> None:
+    """Read by whichever operation the subject has; without any, ask for the list of tools. The session goes on."""
+    asked = some_read(run, at)
+    if asked is None:
+        await at.listed_tools()
+        return
+    for poke in asked.pokes:
+        await at.poke(**poke)
+    run.succeeds(await at.call(asked.operation, **asked.inputs), requirement=requirement, **asked.outputs)
 
 
 def faulty(conditions: Iterable[Mapping[str, object]], **action: object) -> list[Mapping[str, object]]:
@@ -110,12 +162,16 @@ def since(reply: Reply, entries: Entries) -> Entries:
     return [entry for entry in entries if entry["t_ns"] >= reply.exchange.sent_ns]
 
 
-async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001") -> Reply:
+async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001", by: Asked | None = None) -> Reply:
     """Read until that succeeds, at most for as long as the subject declares: the faults of the device are over. An adapter that does not
-    claim to connect again by itself gets a session of its own first. Return the last reply."""
+    claim to connect again by itself gets a session of its own first. Return the last reply.
+
+    Args:
+        by: the read; None is that of the exercise.
+    """
     if not (at.claims("recovery") and at.reconnects):
         await at.fresh_session()
-    asked = exercise(at).read(run.rng)
+    asked = by or exercise(at).read(run.rng)
     for poke in asked.pokes:
         await at.poke(**poke)
     replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, from_first_call=True, **asked.inputs)
@@ -156,17 +212,25 @@ def written_once(at: Rig, asked: Asked, entries: Entries, *, requirement: str | 
     Args:
         requirement: id of the requirement that anything else breaks; None is WR-001 for no write, WR-003 for several.
     """
-    count = len(exercise(at).done(entries, asked))
+    found = exercise(at).done(entries, asked)
+    count = len(found)
     if count == 1:
         return []
     return [
         Finding(
             code="not_written_once",
-            message=f"{at.protocol}: the device should have seen the write of {dict(asked.inputs)} once, it saw it {count} times",
+            message=f"{at.protocol}: the device should have seen the write of {dict(asked.inputs)} once, it saw it {count} times"
+            + said_of_repetitions(at, entries, found),
             requirement=requirement or ("WR-003" if count else "WR-001"),
             evidence=protocols()[at.protocol].seen(entries),
         )
     ]
+
+
+def said_of_repetitions(at: Rig, entries: Entries, found: Entries) -> str:
+    """Return the end of a sentence about a request that came several times: what the protocol's own rules say of that."""
+    told = protocols()[at.protocol].again(entries, found) if len(found) > 1 else ""
+    return f" ({told})" if told else ""
 
 
 def nothing_arrived(at: Rig, entries: Entries, *, requirement: str) -> list[Finding]:

@@ -43,6 +43,7 @@ from .steps import (
     nothing_arrived,
     polls,
     reset,
+    said_of_repetitions,
     silence,
     since,
     witness,
@@ -59,6 +60,8 @@ _LATE_S = 0.2
 """Seconds by which an answer is late, well below every timeout."""
 
 _VALVE = "ns=2;s=ValvePosition"
+_SENSOR = "ns=2;s=Temperature"
+"""A variable that nobody may write."""
 _METRICS = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
 
 
@@ -97,13 +100,16 @@ async def a_modbus_write_has_its_effect(run: Repetition, modbus: Rig) -> None:
 
 @TASKS.check("WR-001", "What is reported as written is in the server.", needs="opcua.write")
 async def an_opcua_write_has_its_effect(run: Repetition, opcua: Rig) -> None:
-    """Write by every operation that writes variables; then write one while the server refuses it.
+    """Write by every operation that writes variables; where the tool writes several at once, write two of which one cannot be written; then
+    write one while the server refuses it.
 
-    Said: success; for the last a failure with `device_failure`.
+    Said: success; for the two a failure, with `partial_failure` or the reason of the refusal; for the last one with `device_failure`.
     Seen: the server holds what was written; what was refused is not in it.
     Why: an assistant that reads "written" goes on as if the valve had moved.
     """
     await _have_their_effect(run, opcua)
+    if opcua.claims("write_many"):
+        await _partly_refused(run, opcua)
     await opcua.fault(*faulty(exercise(opcua).writes, status="BadDeviceFailure"))
     _, refused = await write(run, opcua)
     await opcua.fault()
@@ -145,6 +151,18 @@ async def _have_their_effect(run: Repetition, at: Rig) -> None:
         run.succeeds(reply, requirement="WR-001")
         if reply.success:
             run.witnessed(witness(at).holds(await at.image(), asked.points))
+
+
+async def _partly_refused(run: Repetition, opcua: Rig) -> None:
+    value = round(run.rng.uniform(1.0, 99.0), 3)
+    items = [{"node_id": node, "value": value} for node in (_VALVE, _SENSOR)]
+    reply = await opcua.call("write_many", items=items)
+    statuses = reply.outputs.get("statuses")
+    told = len(statuses) == len(items) and "bad" in str(statuses[1]).lower() if isinstance(statuses, list) else False
+    # Without an envelope a list that says of each item what became of it is as good as a failure.
+    if reply.native or not (reply.success and told):
+        codes = ("partial_failure", "not_writable", "access_denied", "invalid_input")
+        run.fails(reply, *codes, requirement="ERR-008", code_requirement="ERR-003")
 
 
 async def _say_what_is_asked_for(run: Repetition, at: Rig) -> None:
@@ -268,17 +286,20 @@ async def a_write_is_sent_once(run: Repetition, at: Rig) -> None:
         await at.watch(QUIET_S)
         if not reply.success:
             run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="WR-003", code_requirement="ERR-005")
-        run.witnessed(_at_most_once(at, reply, asks.done(since(reply, await at.journal()), asked), "WR-003"))
+        entries = since(reply, await at.journal())
+        run.witnessed(_at_most_once(at, reply, asks.done(entries, asked), "WR-003", entries))
 
 
-def _at_most_once(at: Rig, reply: Reply, found: Sequence[JournalEntry], requirement: str) -> list[Finding]:
+def _at_most_once(
+    at: Rig, reply: Reply, found: Sequence[JournalEntry], requirement: str, entries: Entries = ()
+) -> list[Finding]:
     if len(found) <= 1:
         return []
     return [
         Finding(
             code="written_twice",
             message=f"{reply.label}: after its answer was lost the device should have seen this write once, it saw it "
-            f"{len(found)} times",
+            f"{len(found)} times{said_of_repetitions(at, entries, found)}",
             requirement=requirement,
             evidence=protocols()[at.protocol].seen(found),
         )

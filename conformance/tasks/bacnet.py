@@ -455,7 +455,7 @@ async def nothing_follows_a_refusal(run: Repetition, bacnet: Rig) -> None:
     Said: success.
     Seen: nothing that changes the plant at first; then one write.
     """
-    await bacnet.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
+    await bacnet.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-002"))
     run.succeeds(await bacnet.call("write", **written(VALVE, 30.5, 10)), value=30.5)
     run.witnessed(oracle.exactly_one_write(await bacnet.journal(), VALVE, "real", 30.5, priority=10))
 

@@ -496,7 +496,7 @@ async def a_state_is_accepted(run: Repetition, dnp3: Rig) -> None:
     Said: success.
     Seen: nothing that changes the plant at first; then one operation.
     """
-    await dnp3.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
+    await dnp3.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-004"))
     run.succeeds(await dnp3.call("write_binary", **latched(False)), value=False)
     run.witnessed(oracle.exactly_one_operation(await dnp3.journal(), "binary", LATCH, False))
 

@@ -402,7 +402,7 @@ async def the_largest_value_is_accepted(run: Repetition, ethernetip: Rig) -> Non
     Said: success.
     Seen: one write, and the value in the tag.
     """
-    await ethernetip.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
+    await ethernetip.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-003"))
     fits = allowed_first(ethernetip, "write_tag", (LARGEST_DINT, 100, 1), _valve)
     reply = await ethernetip.call("write_tag", **_valve(fits))
     run.succeeds(reply, value=fits)

@@ -326,7 +326,7 @@ async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
     Said: success; for 40.7 a failure with `type_mismatch`, `invalid_input` or `range_overflow` and the outcome `not_sent`.
     Seen: one write, and the value in the register.
     """
-    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
+    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-003"))
     fits = allowed_first(modbus, "write_holding", (65535, 100, 1), lambda value: {"address": 1, "value": value})
     run.succeeds(await modbus.call("write_holding", address=1, value=fits), value=fits)
     run.witnessed(

@@ -380,7 +380,7 @@ async def the_largest_value_is_accepted(run: Repetition, profibus: Rig) -> None:
     Said: success.
     Seen: one change of outputs, and the value in the slave.
     """
-    await profibus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
+    await profibus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-003"))
     values = [0xFF, *outputs(run)[1:]]
     run.succeeds(await profibus.call("write_outputs", slave=VALVES, data=values), values=values)
     run.witnessed(
@@ -437,7 +437,7 @@ async def write_to_another_device(run: Repetition, profibus: Rig) -> None:
     await profibus.poke(station=VALVES, ident=oracle.IDENT[VALVES])
     run.fails(reply, "config_error", outcome=("not_sent", "rejected"), requirement="ERR-002")
     run.witnessed(
-        oracle.no_outputs_sent(reply.during(await profibus.journal()), VALVES),
+        oracle.no_outputs_sent(reply.during(await profibus.journal()), VALVES, requirement=untold(reply, "ERR-002")),
         oracle.only_changed(before, after, {}, otherwise=untold(reply, "ERR-002")),
     )
 

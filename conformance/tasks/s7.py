@@ -362,7 +362,7 @@ async def the_largest_value_is_accepted(run: Repetition, s7: Rig) -> None:
     Said: success.
     Seen: one write, and the value in the data block.
     """
-    await s7.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
+    await s7.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-003"))
     run.succeeds(await s7.call("write_db", db=CLIENTS, start=0, type="INT", value=32767), value=32767)
     largest = oracle.content("h", 32767)
     run.witnessed(

@@ -9,7 +9,7 @@ import asyncio
 import itertools
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -76,6 +76,7 @@ class Broker:
 
     Attributes:
         counted: how many of the kit's messages were sent on each connection; None while each of them is an entry of its own.
+        subscribed: is told a topic filter when its SUBACK has been sent.
     """
 
     def __init__(self, journal: Journal, limits: Limits | None = None) -> None:
@@ -85,6 +86,7 @@ class Broker:
         self.retained: dict[str, Message] = {}
         self.sessions: dict[str, Session] = {}
         self.counted: Counter[Receiver] | None = None
+        self.subscribed: Callable[[str], None] = lambda topic_filter: None
         self._connections = 0
         self._open: set[asyncio.Transport] = set()
         self._all_closed = asyncio.Event()

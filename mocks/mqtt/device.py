@@ -19,8 +19,12 @@ from .edge_node import EdgeNode
 from .faults import FaultPlan
 from .packets import Publish
 from .pokes import BURST_TURN, Burst, command, disconnection, message
+from .topics import matches
 
 __all__ = ["MqttDevice"]
+
+_ANSWERING_S = 0.1
+"""Seconds after a SUBACK: a client that is still busy with the SUBACK itself has not lost the message yet."""
 
 
 class MqttDevice(Device):
@@ -36,6 +40,8 @@ class MqttDevice(Device):
         # What happens to the clients' network does not happen to the plant's.
         self._private = Network(self.journal)
         self._servers: list[asyncio.Server] = []
+        self._answering: list[Publish] = []
+        self.broker.subscribed = self._subscribed
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         listener = endpoints["mqtt"]
@@ -90,6 +96,8 @@ class MqttDevice(Device):
             raise ValueError(f"an MQTT poke has one member, found {sorted(params)}")
         if "burst" in params:
             await self._burst(Burst.of(params["burst"]))
+        elif "answering" in params:
+            self._answering.append(message(params["answering"]))
         elif "command" in params:
             self._publish(command(params["command"]))
         elif "disconnect" in params:
@@ -99,6 +107,12 @@ class MqttDevice(Device):
             await self.edge_node.poke(params["edge_node"])
         else:
             self._publish(message(params.get("publish")))
+
+    def _subscribed(self, topic_filter: str) -> None:
+        levels = topic_filter.split("/")
+        for packet in self._answering:
+            if matches(levels, packet.topic.split("/")):
+                asyncio.get_running_loop().call_later(_ANSWERING_S, self._publish, packet)
 
     def _publish(self, packet: Publish) -> None:
         """Publish a message of the kit; the journal has it as received on connection 0."""
@@ -156,6 +170,7 @@ class MqttDevice(Device):
         self.broker.faults = FaultPlan([])
         self.network.become("open")
         self.broker.forget()
+        self._answering.clear()
         await self.edge_node.reset()
 
     async def tick(self) -> None:

@@ -129,6 +129,7 @@ def _subscribe(broker: Broker, session: Session, level: int, packet: Subscribe) 
     def afterwards() -> None:
         for topic_filter, messages in retained:
             broker.send_retained(session, topic_filter, messages)
+            broker.subscribed(topic_filter)
 
     codes = tuple(request.qos for request in packet.requests)
     return Suback(packet_id=packet.packet_id, reason_codes=codes), afterwards

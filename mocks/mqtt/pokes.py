@@ -8,6 +8,8 @@
                  the payload is that number, filled with spaces to ``size`` bytes. It returns when the last one is published.
                  ``brief``, for QoS 0 only: in the place of their PUBLISH packets the journal has one entry ``BURST`` with the
                  ``count`` that were published, and then one for each connection with the ``count`` that were sent to it
+``answering``    a message as of ``publish``: it is published a tenth of a second after each SUBACK for a filter that its topic matches,
+                 until the broker is reset, as a sensor does that reports often
 ``command``      ``{"group", "edge_node", "device": null, "metrics": […]}``: a Sparkplug NCMD, with a device a DCMD, as a host sends
                  them. Metrics as in ``sparkplug_values``
 ``disconnect``   ``{"client_id": null, "reason_code": 139}``: ends the connection of one client, or of all

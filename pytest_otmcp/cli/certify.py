@@ -199,7 +199,7 @@ def _conclude(out: Path, ended: int) -> int:
     tasks = tasks_by_id(record["subject"]["adapters"], record["settings"]["suites"])
     if reasons := objections(record, tasks):
         statuses = {item["id"]: Status(item["status"]) for item in record["items"]}
-        code = exit_code(decide(statuses, tasks))
+        code = exit_code(decide(statuses, tasks), statuses=statuses.values())
         raise Refusal(f"no certificate: {'; '.join(reasons)}", max(code, ExitCode.NOT_CONFORMANT))
     _write(out, certificate(record, sha256, tasks))
     return ExitCode.CONFORMANT

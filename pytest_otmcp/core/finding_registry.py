@@ -21,12 +21,14 @@ class FindingCode:
         meaning: what a finding with this code says.
         change: where the cause usually is, and what to do about it.
         keys: keys of the adapter's table in the subject file that may be the cause.
+        beside: it is about the session, beside what the steps of an item have asked: one such fault is in every item of the adapter.
     """
 
     code: str
     meaning: str
     change: str
     keys: tuple[str, ...] = ()
+    beside: bool = False
 
 
 @cache
@@ -42,7 +44,11 @@ def finding_codes(package: str = __package__) -> Mapping[str, FindingCode]:
     declared = tomllib.loads(file.read_text(encoding="utf-8"))["codes"]
     return {
         code: FindingCode(
-            code=code, meaning=entry["meaning"], change=entry["change"], keys=tuple(entry.get("keys", ()))
+            code=code,
+            meaning=entry["meaning"],
+            change=entry["change"],
+            keys=tuple(entry.get("keys", ())),
+            beside=entry.get("beside", False),
         )
         for code, entry in declared.items()
     }

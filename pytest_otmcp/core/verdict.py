@@ -74,9 +74,10 @@ class ExitCode(IntEnum):
     NOT_CONFORMANT = 1
     """The verdict is NOT CONFORMANT or INCOMPLETE, or a deviation is stale or expired."""
     USAGE = 2
-    """A request of the user cannot be carried out, or the user interrupted the run."""
+    """A request of the user cannot be carried out, or the user interrupted the run, or nothing applied: the subject file claims nothing
+    that could be asked."""
     INDETERMINATE = 3
-    """The kit failed, or no item applied."""
+    """The kit failed."""
 
 
 _EXIT_CODES = {
@@ -189,7 +190,9 @@ def judge_deviations(
     )
 
 
-def exit_code(verdict: Verdict, deviations: DeviationReport | None = None) -> ExitCode:
+def exit_code(
+    verdict: Verdict, deviations: DeviationReport | None = None, *, statuses: Iterable[Status] = ()
+) -> ExitCode:
     """Return the exit code of a run.
 
     Known deviations turn a failure into success when nothing else is wrong; a stale or expired one turns success into
@@ -198,7 +201,10 @@ def exit_code(verdict: Verdict, deviations: DeviationReport | None = None) -> Ex
     Args:
         verdict: verdict on the whole run, deviations not considered.
         deviations: the sorted deviations, or None for a subject without any.
+        statuses: of all items: where none of them applied, what is wrong is the subject file.
     """
+    if verdict is Verdict.INDETERMINATE and set(statuses) == {Status.NOT_APPLICABLE}:
+        return ExitCode.USAGE
     if deviations is None or _EXIT_CODES[verdict] == ExitCode.INDETERMINATE:
         return _EXIT_CODES[verdict]
     if not deviations.sound:

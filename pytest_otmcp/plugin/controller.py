@@ -193,7 +193,7 @@ class RunRecorder:
     def exit_code(self) -> ExitCode:
         """Exit code of the finished run."""
         assert self.verdict is not None
-        return exit_code(self.verdict, self.deviations)
+        return exit_code(self.verdict, self.deviations, statuses=self.statuses.values())
 
     def _header(self, finished: datetime | None = None) -> Header:
         settings = self.settings

@@ -26,6 +26,7 @@ __all__ = [
     "Exercise",
     "Limited",
     "Texts",
+    "Waiting",
     "every_change",
     "number_in_json",
 ]
@@ -168,12 +169,26 @@ def _no_points(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Waiting:
+    """A read by a call that waits for what it answers, for adapters that have no other one.
+
+    Attributes:
+        operation: its name.
+        read: makes a call that the device has to answer; the argument behind the random numbers is how many seconds it may wait.
+    """
+
+    operation: str
+    read: Callable[[random.Random, int], Asked]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Exercise:
     """What checks for every protocol do on this one.
 
     Attributes:
         reading: name of the operation that reads.
         read: makes a call that changes nothing, and that the device has to answer during the call.
+        waiting: takes the place of this read where the adapter has no operation for it; None where nothing does.
         writing: name of the operation that writes.
         write: makes a call that changes one thing at the device, by one request.
         number: the input of the write that is a number of limited range; None where there is none.
@@ -232,6 +247,7 @@ class Exercise:
     silent: tuple[Rule, ...]
     reset: tuple[Rule, ...]
     refused: tuple[Rule, ...]
+    waiting: Waiting | None = None
     unauthorised: tuple[Rule, ...] = ()
     write_refused: tuple[Mapping[str, object], str] | None = None
     outside: Mapping[str, tuple[object, ...]] = field(default_factory=dict)

@@ -27,6 +27,7 @@ __all__ = [
     "CONTROL_GUARD",
     "GUARD",
     "LAUNCHES",
+    "READ",
     "READ_OR_STATUS",
     "RECOVERY",
     "Choice",
@@ -64,6 +65,9 @@ ANY_READ = "any_read"
 READ_OR_STATUS = "read_or_status"
 """Facet that checks need: the operation that the exercise reads with, or else one of :data:`ANY_READ`: whether the device answers again is
 all that they read for."""
+
+READ = "read"
+"""Facet that checks need: the operation that the exercise reads with, or else the call that waits which takes its place."""
 
 
 Declared = Mapping[str, Sequence[str]]
@@ -237,6 +241,10 @@ def _declares_nothing(operation: str, effect: Mapping[str, str]) -> Mapping[str,
     return {}
 
 
+def _nothing_to_say(entries: Entries, found: Entries) -> str:
+    return ""
+
+
 def _no_stamps(entries: Entries) -> Iterable[Stamp]:
     return ()
 
@@ -266,6 +274,8 @@ class OtProtocol:
             is None as long as there is none; None if that cannot be told without the answer.
         describe: describes one journal entry in a few words, for findings and the report.
         title: names a journal entry, for the report's conversations; None where the entry's kind is name enough.
+        again: says in one clause, of requests for the same thing among entries, what a client and a device have made of the protocol's own
+            rules for delivering a request again; empty where the protocol has none, or there was no occasion.
         contradiction: says in one clause where a journal entry differs from the bytes of the wire that it holds, or its members
             from one another; None where they agree.
         is_answer: tells whether an entry of one kind can be the answer to an entry of another.
@@ -308,6 +318,7 @@ class OtProtocol:
     colour: Colour
     changes: Callable[[Entries], Sequence[JournalEntry]] = _state_changing
     carried_out: Callable[[JournalEntry, JournalEntry | None], bool | None] = _assumed
+    again: Callable[[Entries, Entries], str] = _nothing_to_say
     contradiction: Callable[[JournalEntry], str | None] = _no_bytes
     is_answer: Callable[[str, str], bool] = _any_answer
     asking: Collection[str] = ()
@@ -385,6 +396,12 @@ class OtProtocol:
         """Return the facets of which a task needs any one, the best first; none where ``facet`` leaves no choice."""
         if facet == READ_OR_STATUS and self.exercise is not None:
             return tuple(dict.fromkeys((self.exercise.reading, *self.alternatives(ANY_READ, waiting))))
+        if facet == READ and self.exercise is not None:
+            instead = self.exercise.waiting
+            return (
+                self.exercise.reading,
+                *([] if instead is None or instead.operation not in waiting else [instead.operation]),
+            )
         if facet != ANY_READ:
             return self.composites[facet].one_of if facet in self.composites else ()
         # A call that does not wait for messages returns what came before, so the device need not be there.

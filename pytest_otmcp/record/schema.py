@@ -479,6 +479,7 @@ class Observation(TypedDict):
     ``end``: the slice ends before this number, the next one begins there. ``process``: figures of the adapter's processes.
     ``tools``: digests of the tools that the adapter lists, and of their order. ``line_sent``: whether a line could be written to its standard input as it is.
     ``stderr``: the adapter's newest lines there. ``made_file``: whether a file was there that a shell makes of a text. ``listed``: the tools of the session, name to entry.
+    ``refuses``: whether a call of a tool that does not exist was answered by a failure; None where there was no answer.
     """
 
     at: str
@@ -502,6 +503,7 @@ class Observation(TypedDict):
     line_sent: NotRequired[bool]
     stderr: NotRequired[list[str]]
     made_file: NotRequired[bool]
+    refuses: NotRequired[bool | None]
     listed: NotRequired[dict[str, ToolListing]]
 
 

@@ -1,14 +1,15 @@
-"""The findings of a run by strength: those about a MUST fail, the others are warnings, of which each kind is told once. Pure."""
+"""The findings of a run by strength, and by place: those about a MUST fail, the others are warnings, of which each kind is told once. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import TypedDict
 
+from ..core.finding_registry import finding_codes
 from ..core.text import counted
 from .schema import Finding, Item
 
-__all__ = ["Warned", "WarningTally", "failing", "findings_of", "said", "warnings"]
+__all__ = ["Warned", "WarningTally", "failing", "findings_of", "passed_beside", "said", "warnings"]
 
 
 class Warned(TypedDict):
@@ -24,6 +25,17 @@ class Warned(TypedDict):
 def findings_of(item: Item) -> list[Finding]:
     """Return all findings of an item: its repetitions' and its own."""
     return [*(finding for sample in item["samples"] for finding in sample["findings"]), *item["findings"]]
+
+
+def passed_beside(item: Item) -> bool:
+    """Tell whether an item failed for what was seen of its sessions beside its steps, such as a line on standard output, and for nothing
+    else: it shows what it is about."""
+    codes = {finding["code"] for finding in failing(findings_of(item))}
+    known = finding_codes()
+    samples = item["samples"]
+    through = item.get("ended") is None and len(samples) == item["planned"] and all(sample["ok"] for sample in samples)
+    beside = codes != set() and all(code in known and known[code].beside for code in codes)
+    return item["status"] == "FAIL" and through and beside
 
 
 def failing(findings: Iterable[Finding]) -> list[Finding]:

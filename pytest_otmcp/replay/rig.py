@@ -360,6 +360,9 @@ class ReplayRig(Rig):
     async def send_line(self, line: str) -> bool:
         return self._seen("line_sent")["line_sent"]
 
+    async def refuses(self, tool: str) -> bool | None:
+        return self._seen("refuses")["refuses"]
+
     async def made_file(self, name: str) -> bool:
         return self._seen("made_file")["made_file"]
 

@@ -18,7 +18,7 @@ from ..core.matrix import BENCHMARK, REQUIREMENTS
 from ..core.verdict import Status
 from ..protocols.protocol import GUARD, Operation
 from ..protocols.registry import protocols
-from ..record.warnings import failing, findings_of
+from ..record.warnings import failing, findings_of, passed_beside
 from ..suite.catalogue import all_tasks, tasks_by_id
 from ..suite.requirements import requirements
 from ..trial.task import Task
@@ -228,7 +228,11 @@ def _also_away(heading: Heading, found: Earned, outages: Sequence[str], items: M
 
 
 def _grade(wanted: Sequence[str], items: Mapping[str, Item], losing: Sequence[str], claimed: bool) -> Earned:
-    statuses = {name: items[name]["status"] if name in items else None for name in wanted}
+    # What was seen of a session beside the steps is counted once, at its own row.
+    statuses = {
+        name: None if name not in items else Status.PASS if passed_beside(items[name]) else items[name]["status"]
+        for name in wanted
+    }
 
     def select(*found: Status | None) -> tuple[str, ...]:
         return tuple(name for name, status in statuses.items() if status in found)

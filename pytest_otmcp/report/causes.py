@@ -10,6 +10,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+from ..core.finding_registry import finding_codes
 from ..core.matrix import CROSS_PROTOCOL
 from ..protocols.registry import protocols
 from ..record.schema import Finding
@@ -18,12 +19,13 @@ from ..suite.by_library import advice
 from ..suite.requirements import requirements
 from . import Item, Run
 
-__all__ = ["Cause", "causes"]
+__all__ = ["Cause", "causes", "extent"]
 
 _ROLE = re.compile(r"^(?:setup|warmup|control): ")
 _VARIABLE = re.compile(r"""'(?:[^'\\]|\\.){0,1000}'|"(?:[^"\\]|\\.){0,1000}"|\[[^\]]{0,1000}\]|\d+(?:\.\d+)?""")
 """What differs between findings of one fault in two items: values, addresses, texts, counts."""
 
+_SEVERAL = 2
 _COMPARED = 300
 """Characters of a sentence that say what its kind is; an adapter's own words behind them may have no end."""
 
@@ -41,6 +43,7 @@ class Cause:
         repetition: number of its repetition, from 0; None when it was found outside of the repetitions.
         items: ids of the items that it touches, in the order of the suite.
         times: number of findings.
+        alone: how many of these items have no other finding.
         further: the first sentence of each other kind of finding about the same rule.
         by_library: what to change in the libraries that the adapter was seen to use, a sentence each.
     """
@@ -53,8 +56,17 @@ class Cause:
     repetition: int | None
     items: tuple[str, ...]
     times: int
+    alone: int
     further: tuple[str, ...]
     by_library: tuple[str, ...] = ()
+
+
+def extent(cause: Cause) -> str:
+    """Say how many items have no other finding, of a fault that is about the session and therefore in many; empty for any other."""
+    known = finding_codes().get(cause.first["code"])
+    if known is None or not known.beside or len(cause.items) < _SEVERAL:
+        return ""
+    return f"{cause.alone} of {len(cause.items)} items have no other finding"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +108,10 @@ def causes(run: Run) -> list[Cause]:
         group.sort(key=lambda one: one.place)
     ordered = sorted(groups.items(), key=lambda entry: entry[1][0].place)
     used = _libraries(run)
-    return [_cause(family, group, used.get(family, ())) for (family, _), group in ordered]
+    rules: dict[str, set[str]] = {}
+    for one in found:
+        rules.setdefault(one.item["id"], set()).add(one.rule)
+    return [_cause(family, group, used.get(family, ()), rules) for (family, _), group in ordered]
 
 
 def _libraries(run: Run) -> dict[str, Collection[str]]:
@@ -125,7 +140,7 @@ def _of_cross_protocol(one: _Found, kinds: Mapping[tuple[str, str], Collection[s
     return candidates[0] if len(candidates) == 1 else (CROSS_PROTOCOL, one.rule)
 
 
-def _cause(family: str, group: list[_Found], used: Collection[str]) -> Cause:
+def _cause(family: str, group: list[_Found], used: Collection[str], kinds_of: Mapping[str, Collection[str]]) -> Cause:
     first = group[0]
     kinds = {one.kind: one for one in reversed(group)}
     further = sorted((one for kind, one in kinds.items() if kind != first.kind), key=lambda one: one.place)
@@ -138,6 +153,7 @@ def _cause(family: str, group: list[_Found], used: Collection[str]) -> Cause:
         repetition=first.repetition,
         items=tuple(dict.fromkeys(one.item["id"] for one in group)),
         times=len(group),
+        alone=sum(len(kinds_of[one]) == 1 for one in {one.item["id"] for one in group}),
         further=tuple(_ROLE.sub("", one.finding["message"]) for one in further),
         by_library=tuple(advice(first.rule, used)),
     )

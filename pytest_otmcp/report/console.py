@@ -16,12 +16,12 @@ from ..suite.levels import NOT_SHOWN, standings
 from ..suite.levels import said as level_of
 from ..suite.requirements import catalogue
 from . import Run, applied, applies, least, tally, timing_valid
-from .applying import not_applying
-from .causes import Cause, causes
+from .applying import not_applying, nothing_asked
+from .causes import Cause, causes, extent
 from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
 from .families import apart
-from .findings import subject_keys
+from .findings import beside, subject_keys
 from .strangers import strangers
 from .text import at_least, count, counted, printable, shortened
 
@@ -30,6 +30,8 @@ __all__ = ["summary"]
 _NONE = "---"
 _SHOWN_CAUSES = 10
 _SHOWN_FINDINGS = 2
+_MANY = 4
+"""Items with the same fault that are counted and not named."""
 _LEAST_WIDTH = 40
 """Columns that every terminal has."""
 
@@ -78,7 +80,11 @@ def _suites(run: Run, width: int) -> Iterator[Line]:
             # One item of a suite that fails leaves nothing that could be said of each.
             known = [bound for bound in bounds if bound is not None] if not red and None not in bounds else []
             row = f"{name:<{wide}}{count(len(items) - len(red), len(items), _NONE):>7}{count(*tally(items), _NONE):>10}"
-            row += f"{at_least(min(known, default=None), _NONE):>16}{'   ' if red else ''}{' '.join(red)}"
+            alone = [item["id"] for item in items if beside(item)]
+            named = [name for name in red if len(alone) < _MANY or name not in alone]
+            if len(named) < len(red):
+                named.append(f"and {len(alone)} for {'; '.join(dict.fromkeys(filter(None, map(beside, items))))}")
+            row += f"{at_least(min(known, default=None), _NONE):>16}{'   ' if red else ''}{' '.join(named)}"
             yield shortened(row, width), "bad" if red else "plain"
 
 
@@ -118,6 +124,8 @@ def _told(cause: Cause) -> Iterator[str]:
     place = "" if cause.repetition is None else f" rep {cause.repetition + 1}/{cause.where['planned']}"
     more = f", {counted(cause.times, 'time')} in all" if cause.times > 1 else ""
     yield f"{cause.where['id']}{place}{more}: {cause.first['message']} [{cause.first['code']}]"
+    if told := extent(cause):
+        yield told
     for message in cause.further[:_SHOWN_FINDINGS]:
         yield f"also: {message}"
     for key in subject_keys(cause.where):
@@ -198,9 +206,9 @@ def _verdict(run: Run, width: int | None) -> Iterator[Line]:
     note = f"{applied(run)}, {good}/{planned} runs passed"
     if found := len(warnings(items)):
         note += f", {counted(found, 'warning')}"
-    if footer.get("reason"):
-        note += f"; {footer['reason']}"
+    for told in (nothing_asked(run), footer.get("reason")):
+        note += f"; {told}" if told else ""
     verdict = footer.get("verdict", "INCOMPLETE")
-    told = printable(f"VERDICT: {verdict} ({note})")
-    for line in [told] if width is None else wrapped(told, width, "  "):
+    line_of_all = printable(f"VERDICT: {verdict} ({note})")
+    for line in [line_of_all] if width is None else wrapped(line_of_all, width, "  "):
         yield line, "ok" if verdict == "CONFORMANT" else "bad"

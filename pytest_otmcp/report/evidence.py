@@ -15,7 +15,7 @@ from markupsafe import escape
 from ..record.warnings import failing
 from . import Item, Run, command
 from .exchange import Event, conversation
-from .findings import subject_keys
+from .findings import beside, subject_keys
 from .plainly import InWords, in_words
 from .text import clipped
 
@@ -111,6 +111,8 @@ def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
         title = "Around the repetitions: warm-up, set-up and controls"
         evidence.append(_evidence(title, command(run, item), own, calls, device, limits))
     notes = []
+    if told := beside(item):
+        notes.append(f"It failed for {told}: what it is about is shown.")
     if len(kinds) > _REPETITIONS:
         notes.append(f"{len(kinds) - _REPETITIONS} more kinds of failing repetitions are in run.json.")
     if missing := item["planned"] - len(item["samples"]):

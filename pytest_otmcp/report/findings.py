@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from ..core.finding import Kind, kind_of
 from ..record.schema import Finding
-from ..record.warnings import failing, findings_of
+from ..record.warnings import failing, findings_of, passed_beside
 from ..suite.catalogue import all_tasks
 from ..suite.keys import keys_of_code, keys_of_task
 from . import Item
 
-__all__ = ["Fault", "cited", "faults", "subject_keys"]
+__all__ = ["Fault", "beside", "cited", "faults", "subject_keys"]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -56,6 +56,15 @@ def faults(item: Item) -> list[Fault]:
 def cited(finding: Finding) -> str:
     """Return what ``otmcp explain`` can be asked about a finding: its requirement, if it has one, and its code."""
     return ", ".join(name for name in (finding["requirement"], finding["code"]) if name)
+
+
+def beside(item: Item) -> str:
+    """Say of an item that failed for what was seen of its sessions beside its steps alone for which rules it did; empty for any other."""
+    if not passed_beside(item):
+        return ""
+    rules = {finding["requirement"] or finding["code"] for finding in failing(findings_of(item))}
+    # The item about such a rule does not fail for something beside what it is about.
+    return "" if rules & set(item["requirements"]) else f"{' and '.join(sorted(rules))} alone"
 
 
 def subject_keys(item: Item) -> list[str]:

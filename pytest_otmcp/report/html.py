@@ -14,8 +14,9 @@ from ..suite.explanations import item as explained_item
 from ..suite.levels import NOT_SHOWN, said, shown, standings
 from ..suite.requirements import catalogue, requirements
 from . import Item, Run, applied, applies, command, deadlines, overview, tally, timing_valid
+from .applying import nothing_asked
 from .capabilities import earned
-from .causes import causes
+from .causes import causes, extent
 from .drawings import latencies, recovery, strip, suite_strip
 from .evidence import failures
 from .families import applying_families
@@ -43,10 +44,15 @@ _QUESTIONS = {
 _SENTENCES = {
     "CONFORMANT": "Every item passed every repetition, and the devices agree with what the adapter said.",
     "NOT CONFORMANT": "The adapter failed. Each failure is below: what was asked, what was said, what the device saw.",
-    "INDETERMINATE": "This run says nothing about the adapter: the kit itself failed, or nothing applied.",
+    "INDETERMINATE": "This run says nothing about the adapter: the kit itself failed.",
     "INCOMPLETE": "Not everything ran, so this run proves nothing yet.",
 }
 _TONES = {"CONFORMANT": "good", "NOT CONFORMANT": "bad"}
+
+
+def _nothing_asked(run: Run) -> str:
+    told = nothing_asked(run)
+    return f"This run says nothing about the adapter: {told}." if told else ""
 
 
 def write_html(run: Run, path: Path) -> None:
@@ -68,7 +74,7 @@ def page(run: Run) -> str:
         run=run,
         verdict=verdict,
         tone=_TONES.get(verdict, "open"),
-        sentence=_SENTENCES.get(verdict, ""),
+        sentence=_nothing_asked(run) or _SENTENCES.get(verdict, ""),
         applied=applied(run),
         deadlines=deadlines(run),
         rules=_rules(rules),
@@ -86,6 +92,7 @@ def page(run: Run) -> str:
         levels=_levels(run),
         no_level=NOT_SHOWN,
         causes=causes(run),
+        extent=extent,
         failures=failing,
         anchors=anchors,
         # The id of a failed item links to its evidence.

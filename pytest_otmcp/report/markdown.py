@@ -17,10 +17,10 @@ from ..suite.levels import said as level_of
 from ..suite.requirements import catalogue
 from . import Item, Run, applied, applies, command, deadlines, tally
 from .capabilities import earned
-from .causes import causes
+from .causes import causes, extent
 from .evidence import failures
 from .families import applying_families
-from .findings import cited, faults, subject_keys
+from .findings import beside, cited, faults, subject_keys
 from .limits import narrowed
 from .overview import deviations, tasks
 from .strangers import strangers
@@ -29,6 +29,8 @@ from .text import printable
 __all__ = ["code", "escape", "summary", "write_markdown"]
 
 _ITEMS = 40
+_ALIKE = 3
+"""Items with a fault of their sessions alone that are still told one by one."""
 _FINDINGS = 3
 _LETTERS = 400
 _SIGNS = {
@@ -131,6 +133,8 @@ def _causes(run: Run) -> Iterator[str]:
     for one in found[:_ITEMS]:
         told = escape(one.statement) or code(one.first["message"])
         yield f"- **{escape(one.rule)}** {escape(one.family)}, in {escape(' '.join(one.items))}: {told}"
+        if told_of := extent(one):
+            yield f"  - {told_of}"
         yield from (f"  - by library: {change}" for change in one.by_library)
     if len(found) > _ITEMS:
         yield f"- {len(found) - _ITEMS} more causes; see report.html"
@@ -143,10 +147,19 @@ def _findings(run: Run) -> Iterator[str]:
         return
     yield "### Findings"
     yield ""
-    for one in failing[:_ITEMS]:
-        yield from _finding(run, one.item)
-    if len(failing) > _ITEMS:
-        yield f"- {len(failing) - _ITEMS} more items did not pass; see report.html"
+    alone: dict[str, list[str]] = {}
+    for one in failing:
+        if told := beside(one.item):
+            alone.setdefault(told, []).append(one.item["id"])
+    counted = {name for names in alone.values() if len(names) > _ALIKE for name in names}
+    others = [one.item for one in failing if one.item["id"] not in counted]
+    for item in others[:_ITEMS]:
+        yield from _finding(run, item)
+    if len(others) > _ITEMS:
+        yield f"- {len(others) - _ITEMS} more items did not pass; see report.html"
+    for told, names in alone.items():
+        if len(names) > _ALIKE:
+            yield f"- {len(names)} items failed for {escape(told)}, and show what they are about: {escape(' '.join(names))}"
     yield ""
 
 

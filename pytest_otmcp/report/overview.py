@@ -18,7 +18,7 @@ from ..core.statistics import (
     percentile,
     standard_deviation,
 )
-from ..record.warnings import failing, findings_of
+from ..record.warnings import failing, findings_of, passed_beside
 from . import Item, Run, applies, control_failed, durations, least, phases, recovered, tally
 from . import adapters as having_sessions
 from .text import at_least, count, interval, number
@@ -115,7 +115,8 @@ def requirements(run: Run) -> list[tuple[str, dict[str, Cell]]]:
     for item in run["items"]:
         broken = {requirement for finding in failing(findings_of(item)) if (requirement := finding["requirement"])}
         for name in [*item.get("requirements", ()), *sorted(broken)]:
-            state = "violated" if name in broken else "passed" if item["status"] == "PASS" else "not shown"
+            passed = item["status"] == "PASS" or passed_beside(item)
+            state = "violated" if name in broken else "passed" if passed else "not shown"
             if item["status"] == "NOT_APPLICABLE":
                 state = "not claimed"
             found.setdefault(name, {}).setdefault(item["family"], {})[item["id"]] = state

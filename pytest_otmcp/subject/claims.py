@@ -86,6 +86,10 @@ class Claims:
         found: list[str] = []
         for need in needs:
             protocol, _, name = need.partition(".")
+            if not name:
+                # An adapter for the protocol is needed, and nothing that it claims.
+                found += [] if self.has_adapter(protocol) else [need]
+                continue
             waiting = self._adapters[protocol].waiting if protocol in self._adapters else ()
             real = protocols()[protocol].required_facets(
                 self._by_command(protocol, name), waiting, partial(self._has, protocol)

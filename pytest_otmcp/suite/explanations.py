@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from ..core.error_registry import ErrorCode, registry, wire_codes
 from ..core.finding_registry import FindingCode, finding_codes
+from ..protocols.protocol import READ
 from ..protocols.registry import protocols
 from ..trial.explanation import explanation
 from ..trial.task import Task
@@ -128,10 +129,23 @@ def item(task: Task) -> Explained:
         ("Once afterwards", (after.asked, after.said, after.seen)),
         ("Why", (steps.why,)),
         ("Suite", (f"{task.suite.capitalize()}, {task.family}{about}",)),
-        ("Applies to", (f"A subject that claims {_list(task.needs)}",)),
+        ("Applies to", (_applying(task),)),
         ("Rules", tuple(map(_cited, task.requirements))),
         ("In the subject file", tuple(keys_of_task(task))),
     )
+
+
+def _applying(task: Task) -> str:
+    claimed = [_facet(need) for need in task.needs if "." in need]
+    return f"A subject that claims {_list(claimed)}" if claimed else f"Every adapter for {task.family}"
+
+
+def _facet(need: str) -> str:
+    key, _, facet = need.partition(".")
+    exercise = protocols()[key].exercise
+    if facet != READ or exercise is None or exercise.waiting is None:
+        return need
+    return f"{key}.{exercise.reading} or {key}.{exercise.waiting.operation} by a call that waits"
 
 
 def requirement(row: Requirement) -> Explained:

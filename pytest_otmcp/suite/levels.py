@@ -4,7 +4,8 @@ The rules of this file:
 
 1. A level needs every MUST that the catalogue has for it and the levels below, in the profiles of every adapter and of the
    protocol. A row is met when its item of the requirement suite passed and no finding of any item is about it. It is violated when a
-   finding of any item is about it.
+   finding of any item is about it. An item that failed for what was seen of its sessions beside its steps alone, such as a line on
+   standard output, has shown its own row all the same: one fault is counted once.
 2. A row whose item does not apply, because the subject does not claim what the row is about, is not asked for. A row without
    an item, or whose item did not end, or failed for what another row is about, is not shown: it denies the level as well.
 3. A level is about something: at least one of the rows that begin with it and belong to the protocol's own profiles is met.
@@ -26,7 +27,7 @@ from ..core.text import counted
 from ..core.verdict import Status
 from ..protocols.registry import protocols
 from ..record.schema import Item
-from ..record.warnings import failing, findings_of
+from ..record.warnings import failing, findings_of, passed_beside
 from .requirements import Catalogue, Level, Requirement
 
 __all__ = ["NOT_SHOWN", "Standing", "said", "shown", "standing", "standings"]
@@ -147,6 +148,8 @@ class _Evidence:
         cited = {finding["requirement"] for finding in failing(findings_of(item))}
         decides = item["suite"] == REQUIREMENTS and row in self._catalogue.rows
         if decides:
+            if passed_beside(item):
+                state, failed = _State.MET, False
             ranks = list(_State)
             self._states[row] = min(state, self._states.get(row, _State.UNCLAIMED), key=ranks.index)
             if failed:

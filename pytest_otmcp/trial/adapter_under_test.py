@@ -33,7 +33,7 @@ from ..session.pace import Pace
 from ..session.process import StopReport
 from ..session.session import McpSession, SessionOptions
 from ..subject.addressing import addressed_by, carries_address
-from ..subject.answers import interpret, read_answer
+from ..subject.answers import Answer, interpret, read_answer
 from ..subject.comparison import stored_bindings
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
 from ..subject.imports import libraries_used
@@ -428,7 +428,7 @@ class AdapterUnderTest:
         if exchange.response is None:
             return f"no reply ({exchange.failure})"
         try:
-            answer = interpret(parse_strict(exchange.response), self.adapter.answering)
+            answer = self._interpreted(exchange.response)
         except ValueError as error:
             return f"the response is not strict JSON: {error}"
         return None if answer.success else answer.text
@@ -555,6 +555,24 @@ class AdapterUnderTest:
         self._guard(tool, writes=writes)
         self.check_address(tool, arguments, writes=writes)
         return await self._current().call(tool, arguments, timeout_s=timeout_s)
+
+    async def refuses(self, tool: str) -> bool | None:
+        """Call a tool that is not listed, and return whether the answer is a failure by the subject's rules; None where there is none.
+
+        Raises:
+            KitError: the adapter has such a tool.
+        """
+        session = self._current()
+        if tool in session.tools:
+            raise KitError(f"{tool} is a tool of this adapter")
+        exchange = await session.call(tool, {}, timeout_s=1.2 * self.deadline_s)
+        try:
+            return None if exchange.response is None else not self._interpreted(exchange.response).success
+        except ValueError:
+            return None
+
+    def _interpreted(self, response: bytes) -> Answer:
+        return interpret(parse_strict(response), self.adapter.answering)
 
     def _guard(self, what: str, *, writes: bool) -> None:
         # The last of several: whoever wants to write has proven the session before, or was told why that is not possible.

@@ -13,7 +13,7 @@ from functools import wraps
 from typing import Any
 
 from ..core.matrix import REQUIREMENTS
-from ..protocols.protocol import GUARD, LAUNCHES, READ_OR_STATUS
+from ..protocols.protocol import GUARD, LAUNCHES, READ, READ_OR_STATUS
 from ..protocols.registry import protocols
 from .task import Steps, Task, Tasks
 
@@ -60,12 +60,14 @@ class Checks(Tasks):
         having: str = "",
         apart: str = "",
         status: bool = False,
+        prompt: bool = False,
     ) -> Callable[[Generic], Generic]:
         """Return a decorator that turns steps into a check of a row on each protocol that has an exercise.
 
         Args:
             row, title: as of :meth:`check`.
-            reads, writes: the steps use the operation that the protocol's exercise reads, or writes, with.
+            reads, writes: the steps use the operation that the protocol's exercise reads, or writes, with. Without either, and without
+                facets, they ask for what the subject has: every adapter of the protocol is asked.
             guard: the steps also get the read-only variant.
             launch: a facet that is a launch of its own, whose variant the steps get as well.
             beside: another such facet, whose variant they get where the subject claims it, else None; on a protocol without this facet they
@@ -74,6 +76,7 @@ class Checks(Tasks):
             having: member of the exercise that the steps use, and that not every protocol has.
             apart: keys of protocols that have a check of this row of their own, separated by blanks.
             status: a status that the device has to answer is as good as the read.
+            prompt: the steps read many times, or at once: a call that waits for what it answers is none for them.
         """
 
         def declare(steps: Generic) -> Generic:
@@ -84,9 +87,10 @@ class Checks(Tasks):
                 if launch and launch not in protocol.facets:
                     continue
                 launches = [*[GUARD] * guard, *[launch] * bool(launch)]
-                reading = READ_OR_STATUS if status else exercise.reading
+                instead = READ if exercise.waiting is not None and not prompt else exercise.reading
+                reading = READ_OR_STATUS if status else instead
                 wanted = [*[reading] * reads, *[exercise.writing] * writes, *launches, *facets.split()]
-                needs = " ".join(f"{key}.{facet}" for facet in wanted)
+                needs = " ".join(f"{key}.{facet}" for facet in wanted) or key
                 optional = [beside] if beside in protocol.facets else []
                 guards = " ".join(f"{key}.{facet}" for facet in optional)
                 self.check(row, title, needs=needs, guards=guards)(_on(key, steps, [*launches, *optional]))

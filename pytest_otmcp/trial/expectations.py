@@ -6,17 +6,21 @@ Pure: functions from observations to findings, no state, no I/O; a stored histor
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 
 from ..core.error_registry import registry
 from ..core.finding import Finding
 from ..core.strict_json import same_json
+from ..protocols.protocol import BOUNDS, LAUNCHES
 from ..protocols.registry import protocols
 from .reply import Reply
 
 __all__ = ["failed", "succeeded"]
 
 _DECIMALS = range(6)
+_OWN_LIMIT = re.compile(r"\brunaway\b|\brate[ _-]?limit|\btoo many (?:calls|requests)\b|\bthrottl", re.IGNORECASE)
+"""Words of adapters that refuse a call for the number of calls before it."""
 
 
 def succeeded(reply: Reply, *, requirement: str | None = None, **outputs: object) -> list[Finding]:
@@ -29,6 +33,14 @@ def succeeded(reply: Reply, *, requirement: str | None = None, **outputs: object
         outputs: the outputs, by name.
     """
     requirement = requirement or protocols()[reply.adapter].operations[reply.operation].requirement
+    if reply.success is False and _is_own_limit(reply):
+        return [
+            Finding(
+                code="own_limit",
+                message=f"{reply.label}: expected success, the adapter refuses further calls: {_outcome(reply)}",
+                evidence=_shown(reply.envelope),
+            )
+        ]
     if reply.success is not True:
         return [
             Finding(
@@ -48,6 +60,17 @@ def succeeded(reply: Reply, *, requirement: str | None = None, **outputs: object
         for name, expected in outputs.items()
         if name in reply.outputs and not same_json(expected, reply.outputs[name])
     ]
+
+
+def _is_own_limit(reply: Reply) -> bool:
+    """Tell whether a failure is for how often the adapter is called: it says nothing about the rule that the call is for.
+
+    A launch that was told limits has them on purpose, and a device that refuses a request may have a limit as well.
+    """
+    if reply.variant == LAUNCHES[BOUNDS] or reply.member("error", "outcome") == "rejected":
+        return False
+    said = reply.member("error", "message")
+    return reply.error_code == "rate_limited" or (isinstance(said, str) and _OWN_LIMIT.search(said) is not None)
 
 
 def _rounded(expected: object, found: object) -> bool:

@@ -401,6 +401,13 @@ class LiveRig(Rig):
         self._noted({"line_sent": sent}, asked_ns)
         return sent
 
+    async def refuses(self, tool: str) -> bool | None:
+        asked_ns = time.monotonic_ns()
+        with self._bench.spent.on("tool calls"):
+            refused = await self.under_test.refuses(tool)
+        self._noted({"refuses": refused}, asked_ns)
+        return refused
+
     async def made_file(self, name: str) -> bool:
         asked_ns = time.monotonic_ns()
         found = self.under_test.take_file(name)

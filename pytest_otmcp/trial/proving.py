@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ..protocols.journal import JournalEntry
-from ..protocols.proof import ENOUGH_BITS, Way
+from ..protocols.proof import ENOUGH_BITS, Question, Way
 from ..protocols.registry import protocols
+from .adapter_under_test import NoBindingError
 from .reply import Reply
 
 __all__ = ["ARRIVAL", "Provable", "prove", "why_reachable"]
@@ -98,15 +99,22 @@ async def prove(
 
     Returns:
         The operation that proved it, or None and the sentence that says why nothing may be written.
+
+    Raises:
+        NoBindingError: the subject file has no way to prove it.
     """
     proof = protocols()[at.protocol].proof
     failed: list[_Attempt] = []
-    strong, bits = False, 0
+    strong, bits, unlisted = False, 0, set[str]()
     for way in sorted(proof.ways, key=lambda way: way.operation != preferred):
         if (way.weak and strong) or way.waiting not in (None, at.blocks(way.operation)):
             continue
-        attempt = await _try(at, way, rng, bits, int(_WINDOW_S * max(1.0, time_scale) * 1e9))
+        question = way.ask(rng)
+        if not at.can_ask(way.operation, question.inputs):
+            continue
+        attempt = await _try(at, way, question, rng, bits, int(_WINDOW_S * max(1.0, time_scale) * 1e9))
         if attempt is None:
+            unlisted.add(way.operation)
             continue
         bits = attempt.bits
         if bits >= ENOUGH_BITS:
@@ -115,16 +123,17 @@ async def prove(
         strong = strong or not way.weak
     if not failed and proof.arrival is not None and await at.arrived():
         return ARRIVAL, ""
+    if not failed and not unlisted:
+        raise NoBindingError(_unprovable(at))
     return None, _explained(at, failed, known=preferred is not None)
 
 
-async def _try(at: Provable, way: Way, rng: random.Random, total: int, window_ns: int) -> _Attempt | None:
-    """Ask in one way until enough random bits came through, with those of other ways; None when the session has no tool for it."""
+async def _try(
+    at: Provable, way: Way, question: Question, rng: random.Random, total: int, window_ns: int
+) -> _Attempt | None:
+    """Ask in one way, this question first, until enough random bits came through, with those of other ways; None when the session does not list its tool."""
     begun_ns, reached = 0, False
     while True:
-        question = way.ask(rng)
-        if not at.can_ask(way.operation, question.inputs):
-            return None
         before = len(await at.journal())
         while True:
             for poke in question.pokes:
@@ -142,6 +151,7 @@ async def _try(at: Provable, way: Way, rng: random.Random, total: int, window_ns
         total += bits
         if total >= ENOUGH_BITS or not bits:
             return _Attempt(reply=reply, reached=reached, bits=total)
+        question = way.ask(rng)
 
 
 async def why_reachable(at: Provable, *, time_scale: float) -> str | None:
@@ -197,12 +207,23 @@ def _explained(at: Provable, failed: Sequence[_Attempt], *, known: bool) -> str:
             f"which {_outcome(failed[0].reply)}{_named(at, failed)}"
         )
     else:
-        return (
-            f"nothing shows that the adapter talks to {where}: no operation is bound that reads and writes nothing; "
-            "nothing was written"
-        )
+        return f"nothing shows that the adapter talks to {where}: the session lists none of the tools that read; nothing was written"
     # Whoever has reached the mock before has the right address.
     return f"{problem}; nothing was written. {_AFTER_AN_OUTAGE if known else _advice(at)}"
+
+
+def _unprovable(at: Provable) -> str:
+    proof = protocols()[at.protocol].proof
+    ways = " or ".join(dict.fromkeys(way.operation for way in proof.ways))
+    arrival = (
+        ""
+        if proof.arrival is None
+        else "; a connection that the adapter makes when it starts is enough, and it made none"
+    )
+    return (
+        f"{at.protocol}: nothing is written before a read has shown that the adapter talks to the mock device at {at.device_url}, and the "
+        f"subject file binds none: bind {ways}{arrival}"
+    )
 
 
 def _outcome(reply: Reply) -> str:

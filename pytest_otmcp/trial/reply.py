@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,6 +25,14 @@ from ..subject.answers import (
 from ..subject.model import Answering, OutputRule
 
 __all__ = ["Expectation", "Reply", "observe", "replace_outputs"]
+
+
+_WORDLESS = re.compile(
+    r"""\s*(?:null|None|\{\}|\[\]|""|(?:error|exception|failed|failure)(?:\s+(?:calling|executing|in|while calling)\s+(?:tool\s+)?['"]?[\w./-]+['"]?)?)?"""
+    r"\s*[:.]?\s*",
+    re.IGNORECASE,
+)
+"""Texts of failures that say nothing: what the SDKs put before the words of an exception, and no words behind it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,6 +250,9 @@ def _read_answer(exchange: Exchange, message: Mapping[str, object], expected: Ex
         # The answer came, and says that the device did not: no success, whatever else it says.
         answer = replace(answer, success=False, code="connect_failed")
     envelope = synthesised(answer, protocol=expected.adapter, operation=expected.operation, writes=operation.writes)
+    structured, text, _ = read_answer(message, "structured")
+    if not answer.success and not structured and _WORDLESS.fullmatch(text):
+        return envelope, [_wordless(exchange, text)]
     if answer.admission is None:
         return envelope, []
     fault = Finding(
@@ -250,6 +262,15 @@ def _read_answer(exchange: Exchange, message: Mapping[str, object], expected: Ex
         evidence=_excerpt(exchange.response or b""),
     )
     return envelope, [fault]
+
+
+def _wordless(exchange: Exchange, text: str) -> Finding:
+    return Finding(
+        code="wordless_error",
+        message=f"{_label(exchange)}: a failure should say what is wrong, its text is {text!r}",
+        requirement="ENV-006",
+        strength="SHOULD",
+    )
 
 
 def _too_large(expected: Expectation) -> dict[str, Any]:

@@ -75,6 +75,11 @@ class Rig(WriteGate):
         """Write into the ledger of a repetition from now on."""
         self._ledger = ledger
 
+    @property
+    def time_scale(self) -> float:
+        """The factor on windows and deadlines."""
+        return self._ledger.time_scale
+
     # -- what the subject says of itself ------------------------------------------------------------------
 
     @abstractmethod
@@ -430,6 +435,11 @@ class Rig(WriteGate):
     @abstractmethod
     async def send_line(self, line: str) -> bool:
         """Write a line to the adapter's standard input as it is; return whether there is such a stream."""
+
+    @abstractmethod
+    async def refuses(self, tool: str) -> bool | None:
+        """Call a tool that the adapter does not have, without arguments; return whether the answer is a failure, or None where there is
+        none within the deadline."""
 
     @abstractmethod
     async def made_file(self, name: str) -> bool:

@@ -36,7 +36,8 @@ class Task:
         title: the paper's sentence for it, printed in its tables.
         capabilities: the capabilities that the item is about.
         adapters: the adapters it needs: ``protocol``, or ``protocol@ro`` for the variant with writes disabled.
-        needs: facets that the subject must claim, such as ``modbus.write_holding`` or ``modbus.guard``.
+        needs: facets that the subject must claim, such as ``modbus.write_holding`` or ``modbus.guard``; a protocol alone stands for an
+            adapter that claims nothing of it.
         guards: facets that are launches, such as ``modbus.guard``, whose variants take part when the subject claims them.
         requirements: ids of the requirement catalogue that it exercises.
         steps: the steps of one repetition.

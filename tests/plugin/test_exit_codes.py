@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import pytest
 
+from pytest_otmcp.protocols.registry import protocols
+
 from .vendor import Repository
 
 BROKEN_KIT = """
 import pytest
+
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial import trial
 
 async def broken(self):
@@ -74,6 +78,8 @@ def test_a_bug_of_the_kit_is_neither_success_nor_failure(repository: Repository)
 IMPORTED_LATE = """
 import threading
 import pytest
+
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.plugin import worker
 from pytest_otmcp.trial.bench import Bench
 
@@ -120,3 +126,16 @@ def test_an_adapter_without_the_tool_that_its_subject_names_is_a_usage_error(rep
         assert "the adapter lists no tool 'pingg'; did you mean 'ping'?" in outcome.output
         assert "VERDICT" not in outcome.output
         assert "Traceback" not in outcome.output
+
+
+def test_a_subject_file_that_claims_nothing_is_told_what_to_bind(repository: Repository) -> None:
+    unclaimed = "\n".join(f'{name} = "not known yet"' for name in protocols()["modbus"].operations)
+    repository.write(
+        otmcp_toml='[subject]\nname = "nothing"\nversion = "1"\n\n[adapter.modbus]\ncommand = ["{python}", "-c", "", "{url}"]\n\n'
+        f'[adapter.modbus.unclaimed]\nguard = "not known yet"\n{unclaimed}\n'
+    )
+    outcome = repository.pytest("--otmcp-reps=1")
+    said = " ".join(outcome.output.split())
+    assert outcome.verdict == "INDETERMINATE"
+    assert "nothing could be asked: bind operations such as modbus.read_holding and modbus.write_holding" in said
+    assert outcome.code == 2, outcome.output

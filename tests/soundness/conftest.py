@@ -28,6 +28,8 @@ from pytest_otmcp.trial.bench import Bench
 from pytest_otmcp.trial.task import Task
 from tests.trials import as_read, recorded
 
+from .sentences import untrue
+
 __all__ = [
     "DEFECT",
     "HERE",
@@ -74,13 +76,15 @@ Judge = Callable[..., Results]
 
 
 async def perform(bench: Bench, tasks: list[Task], repetitions: int = 1) -> Results:
-    """Run every task so many times, in this order. Fail unless the results can be recorded and follow from the record again."""
+    """Run every task so many times, in this order. Fail unless the results can be recorded and follow from the record again, and every
+    sentence of a finding about a reply is one that the record bears out."""
     try:
         results = {task.id: await measured(bench, task, repetitions) for task in tasks}
         record = recorded(bench, results.values())
     finally:
         await bench.close()
     assert await asyncio.to_thread(rejudge, as_read(record)) == []
+    assert untrue(results.values()) == []
     return results
 
 

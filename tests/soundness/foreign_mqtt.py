@@ -1,9 +1,10 @@
-"""Three MQTT adapters of foreign shape, and their lies.
+"""Four MQTT adapters of foreign shape, and their lies.
 
 ``mqtt-connect``: has to be connected by a tool, does not reconnect; structured content with a ``success`` in it, ``isError``
 never set; one inbox for all messages, no QoS.
 ``mqtt-handle``: reconnects when it has to; a subscription has a handle that is polled and emptied; ``isError`` set.
 ``mqtt-collect``: subscribes, waits and answers in one call; a text block for each message, and nothing else.
+``mqtt-wait``: one call subscribes and waits for the next message, another publishes; each over a connection of its own. Prose.
 """
 
 from __future__ import annotations
@@ -17,9 +18,12 @@ from contextlib import nullcontext
 from typing import Any
 
 import paho.mqtt.client as paho
-from foreign import Failure, Result, Shape, prose, structured
+from foreign import Failure, Result, Shape, json_text, prose, structured
 
 ANSWER_S = 3.0
+REFUSED = 0x80
+LONGEST = 65_535
+"""Bytes of a topic that a packet can say."""
 
 NO_NAME = {"+", "#", "\0"}
 """Characters that a topic to publish on must not have."""
@@ -57,6 +61,7 @@ class Link:
     def _message(self, client: paho.Client, data: Any, message: paho.MQTTMessage) -> None:
         with self._changed:
             self.received.append({"topic": message.topic, "payload": message.payload.decode("utf-8", "replace")})
+            self._changed.notify_all()
 
     def open(self) -> None:
         try:
@@ -79,6 +84,14 @@ class Link:
             if mid not in self._answers:
                 raise Failure("offline", "not connected")
             return int(self._answers[mid])
+
+    def next(self, seconds: float) -> dict[str, str] | None:
+        """Wait for a message and return the first; None where none comes."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.received or not self.client.is_connected(), seconds)
+            if not self.received and not self.client.is_connected():
+                raise Failure("offline", "not connected: the connection was lost")
+            return self.received[0] if self.received else None
 
     def check(self) -> None:
         """Ask the broker for something that changes nothing."""
@@ -284,3 +297,74 @@ def mqtt_collect(lie: str | None, read_only: bool) -> Shape:
         return {"content": [{"type": "text", "text": json.dumps(message)} for message in link.received]}
 
     return Shape(tools={"collect": ({"topic": "string", "timeout": "number"}, collect)}, served="sdk")
+
+
+# -- one call for the next message ------------------------------------------------------------------------------------
+
+
+def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
+    async def opened() -> Link:
+        link = Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]), reconnect=lie == "makes-up-for-it")
+        await asyncio.to_thread(link.open)
+        return link
+
+    async def receive_message(topic: str, timeout: float) -> Result:
+        link: Link | None = None
+        try:
+            link = await opened()
+            granted = await asyncio.to_thread(link.subscribe, topic, 0)
+            if granted >= REFUSED and lie == "never-refused":
+                return json_text({"topic": topic, "payload": ""})
+            if granted >= REFUSED:
+                return prose(f"Error: the broker refuses the filter {topic!r}", is_error=True)
+            message = await asyncio.to_thread(link.next, timeout)
+        except Failure as failure:
+            return prose(f"Error: {failure}", is_error=True)
+        finally:
+            if link is not None:
+                await asyncio.to_thread(link.close)
+        if message is None:
+            return prose(f"Error: no message on {topic!r} within {timeout} s", is_error=True)
+        return json_text(message)
+
+    async def publish_message(topic: str, message: str, qos: int) -> Result:
+        if not isinstance(topic, str) or not topic or NO_NAME.intersection(topic) or len(topic.encode()) > LONGEST:
+            return prose("Error: invalid topic", is_error=True)
+        if not isinstance(message, str) or type(qos) is not int or qos not in (0, 1, 2):
+            return prose("Error: invalid message or qos", is_error=True)
+        link: Link | None = None
+        try:
+            link = await opened()
+            await asyncio.to_thread(link.publish, topic, message, qos)
+        except Failure as failure:
+            if lie == "publishes-into-the-void":
+                return prose(f"Published to {topic}")
+            # What had a connection has lost it.
+            return prose(
+                f"Error: {failure}" if link is None else f"Error: connection was lost: {failure}", is_error=True
+            )
+        finally:
+            if link is not None:
+                await asyncio.to_thread(link.close)
+        return prose(f"Published to {topic}")
+
+    def wordless(call: Any) -> Any:
+        async def called(*args: Any, **kwargs: Any) -> Result:
+            result: Result = await call(*args, **kwargs)
+            # As a server of the SDK answers for an exception without a text.
+            return prose(f"Error executing tool {call.__name__}: ", is_error=True) if result.get("isError") else result
+
+        return called if lie == "wordless" else call
+
+    if lie == "says-hello":
+        print("Connected to the broker", flush=True)
+    if lie == "needs-the-broker":
+        # As servers do that connect while they start, and have no other plan.
+        Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"])).open()
+    return Shape(
+        tools={
+            "receive_message": ({"topic": "string", "timeout": "number"}, wordless(receive_message)),
+            "publish_message": ({"topic": "string", "message": "string", "qos": "integer"}, wordless(publish_message)),
+        },
+        served="sdk",
+    )

@@ -50,6 +50,8 @@ NEIGHBOURS = [
     ("mcp/few-annotations", "M3 MCP-008.modbus"),
     ("mqtt/says-which-settings-it-has", "KEY-001.mqtt"),
     ("mqtt/helper-with-the-password", "KEY-001.mqtt"),
+    ("opcua/reads-before-browsing", "OUA-006.opcua"),
+    ("opcua/looks-before-writing", "O3 WR-001.opcua WR-002.opcua"),
 ]
 """Honest adapters, each with the check that it is made for."""
 

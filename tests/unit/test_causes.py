@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any, cast
 
 from pytest_otmcp.core.matrix import CROSS_PROTOCOL
-from pytest_otmcp.record.schema import Run
-from pytest_otmcp.report.causes import Cause, causes
+from pytest_otmcp.record.schema import Item, Run
+from pytest_otmcp.record.warnings import passed_beside
+from pytest_otmcp.report.causes import Cause, causes, extent
+from pytest_otmcp.report.overview import requirements as requirement_rows
 from pytest_otmcp.suite.requirements import requirements
 
 from .samples import item, run
@@ -117,3 +119,34 @@ def test_a_cause_names_what_to_change_in_a_library_that_the_adapter_was_seen_to_
     assert [change.partition("`retries=0`")[:2] for change in twice.by_library] == [("pymodbus: ", "`retries=0`")]
     assert twice.by_library[0].endswith("(docs/by-library.md#pymodbus)")
     assert elsewhere.by_library == ()
+
+
+NOISE = {
+    **finding("1 line(s) on stdout that are no MCP message, the first: 'Connected'", "MCP-001"),
+    "code": "stdout_noise",
+}
+
+
+def test_of_a_fault_of_the_session_it_is_said_how_many_items_have_no_other_one() -> None:
+    quiet = [failing(name, "Modbus", around=(NOISE,)) for name in ("M1", "M2")]
+    for entry in quiet:
+        entry["samples"][1] |= {"ok": True}
+    noise, write = causes_of(*quiet, failing("M3", "Modbus", finding("one write, it saw 0"), around=(NOISE,)))
+    assert (noise.rule, noise.items, noise.alone) == ("MCP-001", ("M1", "M2", "M3"), 2)
+    assert extent(noise) == "2 of 3 items have no other finding"
+    assert extent(write) == ""
+
+
+def test_the_extent_of_a_fault_in_one_item_is_not_told() -> None:
+    (cause,) = causes_of(failing("M1", "Modbus", around=(NOISE,)))
+    assert extent(cause) == ""
+
+
+def test_an_item_that_failed_for_the_session_alone_shows_its_rules_and_no_other() -> None:
+    quiet = failing("M1", "Modbus", around=(NOISE,)) | {"requirements": ["RD-004"]}
+    quiet["samples"][1] |= {"ok": True}
+    rows = dict(requirement_rows(cast(Run, run([quiet]))))
+    assert rows["RD-004"]["Modbus"].state == "passed"
+    assert rows["MCP-001"]["Modbus"].state == "violated"
+    assert not passed_beside(cast(Item, failing("M1", "Modbus", finding("one write, it saw 0"), around=(NOISE,))))
+    assert not passed_beside(cast(Item, {**quiet, "findings": []}))

@@ -10,6 +10,7 @@ import pytest
 from pytest_otmcp.conformance.tasks.messages import received
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.core.finding_registry import finding_codes
 from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.trial.expectations import failed, succeeded
 from pytest_otmcp.trial.reply import Reply
@@ -55,6 +56,23 @@ def test_another_value_or_another_type_is_told(value: Any) -> None:
     (finding,) = succeeded(success(value=value), value=41)
     assert (finding.code, finding.requirement) == ("wrong_value", "WR-001")
     assert f"value should be 41, the reply says {json.dumps(value)}" in finding.message
+
+
+@pytest.mark.parametrize("words", ["Runaway guard tripped: 25 equal calls", "rate-limit reached", "Too many requests"])
+def test_a_limit_of_the_adapters_own_is_named_and_breaks_no_rule_of_the_call(words: str) -> None:
+    error = {"code": "unclassified", "message": words}
+    (finding,) = succeeded(reply({"success": False, "error": error}, native=False), requirement="ENC-003")
+    assert (finding.code, finding.requirement) == ("own_limit", None)
+    assert words in finding.message
+    assert finding_codes()[finding.code].keys == ("call_limit",)
+
+
+def test_a_limit_that_the_launch_was_told_or_that_is_the_devices_is_none_of_these() -> None:
+    limited = refusal("rate_limited")
+    assert said(succeeded(limited)) == [("own_limit", None)]
+    assert said(succeeded(replace(limited, variant="bounded"), requirement="WR-007")) == [("not_successful", "WR-007")]
+    assert said(succeeded(refusal("rate_limited", outcome="rejected"))) == [("not_successful", "WR-001")]
+    assert said(succeeded(refusal("device_busy"))) == [("not_successful", "WR-001")]
 
 
 def test_an_output_that_the_subject_does_not_say_where_to_find_is_not_judged() -> None:

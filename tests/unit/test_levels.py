@@ -262,3 +262,34 @@ def test_a_level_lacks_something_exactly_when_it_is_not_earned(seed: int) -> Non
     assert {*found.failed, *found.not_run, *found.unclaimed, *found.not_yet} <= needed
     assert not {*found.failed} & {*found.not_run}
     assert "\n" not in said(found)
+
+
+def noisy(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an item in whose sessions a line on standard output was no message."""
+    told = finding("stdout_noise", "1 line(s) on stdout that are no MCP message, the first: 'Connected'", "MCP-001")
+    return {**entry, "status": "FAIL", "findings": [*entry["findings"], told]}
+
+
+def test_a_line_on_standard_output_is_one_fault_whatever_number_of_items_it_is_in() -> None:
+    found = stands(map(noisy, all_passed().values()))
+    assert found.level is None
+    assert list(found.failed) == ["MCP-001"]
+    assert (found.not_run, found.hidden, found.unattributed) == ((), (), ())
+
+
+@pytest.mark.parametrize("requirement", ["RD-001", "MCP-007"])
+def test_an_item_with_another_finding_beside_that_line_does_not_show_its_row(requirement: str) -> None:
+    rows = {row: noisy(entry) for row, entry in all_passed().items()}
+    found = stands({**rows, "WR-003": blamed(rows["WR-003"], requirement)}.values())
+    assert {*found.failed} == {"MCP-001", requirement}
+    assert found.hidden == ()
+    silver = stands({**all_passed(), "WR-003": blamed(noisy(check("WR-003")), requirement)}.values())
+    assert {*silver.failed} == {"MCP-001", requirement}
+
+
+def test_an_item_that_ended_before_its_time_shows_nothing_though_a_line_is_its_only_finding() -> None:
+    ended = {"fault_of": "subject", "code": "session_lost", "message": "the session was lost"}
+    found = stands({**all_passed(), "MCP-009": {**noisy(check("MCP-009")), "ended": ended}}.values())
+    assert "MCP-009" in found.hidden
+    unfinished = stands({**all_passed(), "MCP-009": {**noisy(check("MCP-009")), "planned": 3}}.values())
+    assert "MCP-009" in unfinished.hidden

@@ -242,3 +242,30 @@ def test_a_member_that_is_not_there_is_none_whatever_is_in_its_place(data: objec
     assert strange.member("data", "partial") is None
     assert replace(reply, envelope={"data": {"partial": [7]}}).member("data", "partial") == [7]
     assert replace(reply, envelope=None).member("data", "partial") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "wordless"),
+    [
+        ("", True),
+        ("Error calling tool 'receive_message': ", True),
+        ("Error executing tool read_register:", True),
+        ("Error: ", True),
+        ("Failed", True),
+        ("Error calling tool 'receive_message': timed out", False),
+        ("Error: no", False),
+        ("timeout", False),
+        ("Failed to connect", False),
+        ("Error 2", False),
+    ],
+)
+def test_a_failure_without_a_word_of_what_is_wrong_is_warned_of(text: str, wordless: bool) -> None:
+    reply = observed(result(text, is_error=True))
+    found = [(fault.code, fault.requirement, fault.is_must) for fault in reply.faults]
+    assert found == ([("wordless_error", "ENV-006", False)] if wordless else [])
+    assert reply.success is False
+
+
+def test_a_failure_whose_words_are_in_its_document_has_words() -> None:
+    told = result("", is_error=True, structured={"error": "no such register"})
+    assert codes(observed(told, STRUCTURED)) == codes(observed(told)) == []

@@ -261,3 +261,11 @@ def test_a_deviation_whose_item_did_not_run_is_neither_used_nor_stale() -> None:
 def test_a_deviation_of_an_unknown_item_is_the_users_mistake(item: str, hint: str) -> None:
     with pytest.raises(UsageError, match=f"there is no item '{item}' in the suite; {hint}"):
         judge_deviations([Known(item, TODAY)], {}, ["FQ2", "M1"], TODAY)
+
+
+def test_a_run_in_which_nothing_applied_is_a_matter_of_the_subject_file() -> None:
+    statuses = {"A": Status.NOT_APPLICABLE, "B": Status.NOT_APPLICABLE}
+    verdict = decide(statuses, statuses)
+    assert verdict == Verdict.INDETERMINATE
+    assert exit_code(verdict, statuses=statuses.values()) == ExitCode.USAGE
+    assert exit_code(verdict, statuses=[*statuses.values(), Status.KIT_ERROR]) == ExitCode.INDETERMINATE

@@ -9,7 +9,7 @@ from ..session_oracle import Exchanges
 from .commands import COMMAND_TOPICS, declares
 from .contradiction import contradiction, is_answer
 from .decoder import MqttConversation, packet_length
-from .entries import describe, messages
+from .entries import delivered_again, describe, messages
 from .exercise import EXERCISE
 from .external import EXTERNAL
 from .operations import OPERATIONS
@@ -51,6 +51,7 @@ PROTOCOL = OtProtocol(
     unsolicited=no_command,
     changes=messages,
     carried_out=kept_or_executed,
+    again=delivered_again,
     contradiction=contradiction,
     is_answer=is_answer,
     describe=describe,

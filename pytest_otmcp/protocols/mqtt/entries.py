@@ -14,6 +14,7 @@ __all__ = [
     "MqttEntry",
     "adapter_packets",
     "as_mqtt",
+    "delivered_again",
     "describe",
     "messages",
     "payload_of",
@@ -104,6 +105,30 @@ def _again(packet: MqttEntry, earlier: MqttEntry) -> bool:
     return marked and all(packet.get(name) == earlier.get(name) for name in same)
 
 
+_FIRST_ANSWERS = {1: "PUBACK", 2: "PUBREC"}
+
+
+def delivered_again(entries: Entries, found: Entries) -> str:
+    """Say of messages with the same payload why they are several, and not one that is delivered again.
+
+    Args:
+        entries: since the first was sent.
+        found: the messages.
+    """
+    packets = [as_mqtt(entry) for entry in found]
+    answer = _FIRST_ANSWERS.get(packets[0].get("qos", 0)) if len(packets) > 1 else None
+    if answer is None:
+        return ""
+    first, marked = packets[0], sum(bool(packet.get("dup")) for packet in packets[1:])
+    here = (answer, first["connection"], first.get("packet_id"))
+    answers = adapter_packets(entries, direction="out")
+    answered = here in [(packet["kind"], packet["connection"], packet.get("packet_id")) for packet in answers]
+    mark = (
+        f"{marked} of them with DUP, and each a message of its own to a broker" if marked else "none of them with DUP"
+    )
+    return f"with QoS {first['qos']}, {mark}; the broker had {'sent' if answered else 'withheld'} the {answer} of the first"
+
+
 def payload_of(message: Mapping[str, Any]) -> bytes:
     """Return the payload of a PUBLISH or of a will."""
     return base64.b64decode(message.get("payload") or "")
@@ -154,6 +179,7 @@ def describe(entry: JournalEntry) -> str:
     text = f"{'<' if packet['direction'] == 'in' else '>'} {packet['kind']}"
     if packet["kind"] == "PUBLISH":
         text += f" {packet['topic']!r} QoS {packet.get('qos')}{' retained' if packet.get('retain') else ''}"
+        text += " DUP" if packet.get("dup") else ""
         text += f" {payload_of(packet)[:60]!r}"
     elif packet["kind"] == "BURST":
         text += f" {packet['topic']!r}, {packet.get('count')} messages"

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from ...core.strict_json import same_json
-from ..exercise import Asked, DeviceText, Exercise, Limited
+from ..exercise import Asked, DeviceText, Exercise, Limited, Waiting
 from ..journal import Entries, JournalEntry
 from .entries import as_mqtt, messages, payload_of
 
@@ -23,6 +23,14 @@ _NOT_AUTHORISED = 0x87
 
 def _read(rng: random.Random) -> Asked:
     return Asked(operation="subscribe", inputs={"filter": f"otmcp/check/{rng.getrandbits(32):08x}", "qos": 0})
+
+
+def _collect(rng: random.Random, seconds: int) -> Asked:
+    """Wait for a message on a topic of its own, which comes when the broker has granted the filter; what the answer holds is judged by
+    checks of its own."""
+    topic = f"otmcp/check/{rng.getrandbits(32):08x}"
+    message = {"topic": topic, "payload": base64.b64encode(f"check-{rng.getrandbits(32):08x}".encode()).decode()}
+    return Asked(operation="messages", inputs={"filter": topic, "seconds": seconds}, pokes=({"answering": message},))
 
 
 def _write(rng: random.Random) -> Asked:
@@ -147,6 +155,7 @@ def _number(topic: str, value: float) -> Asked:
 EXERCISE = Exercise(
     reading="subscribe",
     read=_read,
+    waiting=Waiting(operation="messages", read=_collect),
     writing="publish",
     write=_write,
     number=None,

@@ -15,7 +15,7 @@ from ..oracle import Witness, requests
 from ..protocol import Declared
 from ..session_oracle import SessionOracle
 from .commands import commands
-from .entries import FirstPackets, MqttEntry, adapter_packets, describe, payload_of, shown
+from .entries import FirstPackets, MqttEntry, adapter_packets, delivered_again, describe, payload_of, shown
 from .entries import messages as published
 from .sparkplug_decoder import parse_topic
 from .sparkplug_oracle import Births, SparkplugSequence, broken_rule, commanded_once, ddata_metric, reported
@@ -304,6 +304,8 @@ def published_once(
     else:
         wanted = "once and nothing else"
         problem = f"it received {len(messages)} message(s)"
+        told = delivered_again(entries, [message for message in messages if _is(message, topic, payload)])
+        problem += f" ({told})" if told else ""
     return [
         Finding(
             code=code,
@@ -426,7 +428,10 @@ def session_stays_up(entries: Entries, client_id: str | None = None) -> list[Fin
     packets = adapter_packets(entries, client_id=client_id)
     made_now = {entry["connection"] for entry in packets if entry["kind"] == "CONNECTED"}
     spoke = {entry["connection"] for entry in packets if entry["kind"] not in ("CONNECTED", "DISCONNECTED")}
-    packets = [entry for entry in packets if entry["connection"] not in made_now - spoke]
+    # One that was made before, and has no name yet, has not said CONNECT either.
+    named = {entry["connection"] for entry in packets if entry.get("client_id") is not None}
+    met = {entry["connection"] for entry in packets}
+    packets = [entry for entry in packets if entry["connection"] not in (made_now - spoke) | (met - spoke - named)]
     made = {entry["connection"] for entry in packets if entry["kind"] == "CONNECT"}
     left = {entry["connection"] for entry in packets if entry["kind"] == "DISCONNECT" and entry["direction"] == "in"}
     broken = {entry["connection"] for entry in packets if entry["kind"] == "malformed"}

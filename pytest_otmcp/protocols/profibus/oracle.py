@@ -115,13 +115,13 @@ def exactly_one_write(entries: Entries, *, station: int, outputs: bytes) -> list
     return _WITNESS.exactly_one_write(entries, f"Data_Exchange of {outputs.hex()} with {station}", problem)
 
 
-def no_outputs_sent(entries: Entries, station: int) -> list[Finding]:
+def no_outputs_sent(entries: Entries, station: int, *, requirement: str = "ERR-006") -> list[Finding]:
     """Expect that no outputs were sent to a slave, other than those that a master has sent it before."""
     sent = [entry for entry in _asked(entries, ("data_exchange",), station) if entry["kind"] == "request"]
     if not sent:
         return []
     message = f"the segment should have seen no outputs for slave {station}, it saw {_shown(sent)}"
-    return [Finding(code="wrote", message=message, requirement="ERR-006")]
+    return [Finding(code="wrote", message=message, requirement=requirement)]
 
 
 def nothing_driven(entries: Entries) -> list[Finding]:

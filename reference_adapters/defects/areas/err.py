@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
@@ -115,6 +116,29 @@ def errors_among_values(genuine: Handler) -> Handler:
     return handler
 
 
+def as_if_all_were_written(status: str) -> Callable[[Handler], Handler]:
+    """Return the defect that a write of several items is a success when some are refused.
+
+    Args:
+        status: what is told of those.
+    """
+
+    def change(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code != "partial_failure":
+                    raise
+                told = [(item["node_id"], item.get("status", status)) for item in error.partial["items"]]
+                data = {"items": [{"node_id": node, "success": True, "status": found} for node, found in told]}
+            return data
+
+        return handler
+
+    return change
+
+
 def nothing_of_the_rest(call: Call, error: AdapterError) -> Exception | None:
     if error.code != "partial_failure":
         return None
@@ -219,6 +243,24 @@ MUTANTS: tuple[Mutant, ...] = (
         requirements="ERR-008",
         areas="err",
         quick=True,
+    ),
+    Mutant(
+        id="MU-61w",
+        protocol="opcua",
+        sentence="Of several writes all are told as written when the server has refused one.",
+        bend=each("write_multiple_opcua_nodes", change=as_if_all_were_written("Good")),
+        items="WR-001.opcua",
+        requirements="ERR-008",
+        areas="wr",
+    ),
+    Mutant(
+        id="MU-61l",
+        protocol="opcua",
+        sentence="Several writes of which one was refused are a success, with the refusal in the list.",
+        bend=each("write_multiple_opcua_nodes", change=as_if_all_were_written("BadUserAccessDenied")),
+        items="WR-001.opcua",
+        requirements="ERR-008",
+        areas="wr",
     ),
     Mutant(
         id="MU-61p",

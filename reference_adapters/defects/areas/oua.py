@@ -115,6 +115,25 @@ def points_left_open(server: AdapterServer) -> None:
     Services._turn_pages = first_pages
 
 
+def browses_instead(*nodes: ua.NodeId) -> Bend:
+    """Return the defect that a node which the server does not have is browsed as if it were another one, or as one without children."""
+
+    def bend(server: AdapterServer) -> None:
+        genuine = Services.browse
+
+        async def browse(services: Services, asked: Sequence[ua.NodeId], **options: Any) -> Any:
+            try:
+                return await genuine(services, asked, **options)
+            except AdapterError as error:
+                if error.code != "illegal_address":
+                    raise
+                return await genuine(services, nodes, **options) if nodes else [[]]
+
+        Services.browse = browse
+
+    return bend
+
+
 def circles(levels: int) -> Bend:
     """Return the defect that an enumeration visits a node as often as it is found, so many levels deep."""
 
@@ -363,6 +382,24 @@ MUTANTS: tuple[Mutant, ...] = (
         protocol="opcua",
         sentence="Of a long list of nodes there is the first page; seen by the requirement suite.",
         bend=first_page,
+        items="OUA-006.opcua",
+        requirements="OUA-006",
+        areas="oua",
+    ),
+    Mutant(
+        id="MU-84m",
+        protocol="opcua",
+        sentence="The list of the children of a node that does not exist is empty.",
+        bend=browses_instead(),
+        items="OUA-006.opcua",
+        requirements="OUA-006",
+        areas="oua",
+    ),
+    Mutant(
+        id="MU-84o",
+        protocol="opcua",
+        sentence="In the place of a node that does not exist the Objects folder is browsed.",
+        bend=browses_instead(ua.NodeId(ua.ObjectIds.ObjectsFolder)),
         items="OUA-006.opcua",
         requirements="OUA-006",
         areas="oua",

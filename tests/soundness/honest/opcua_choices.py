@@ -141,6 +141,36 @@ def browses_before_reading(server: AdapterServer) -> None:
     other_reads(browsed)
 
 
+@choice(
+    "reads the class of a node before it browses it",
+    "reading changes nothing, and a node that is not there is told by it",
+)
+def reads_before_browsing(server: AdapterServer) -> None:
+    genuine = Services.browse
+
+    async def browse(services: Services, nodes: Sequence[ua.NodeId], **options: Any) -> Any:
+        await services.read(nodes, ua.AttributeIds.NodeClass)
+        return await genuine(services, nodes, **options)
+
+    Services.browse = browse
+
+
+@choice(
+    "looks whether all nodes may be written before it writes one",
+    "of several writes none is sent where one would be refused",
+)
+def looks_before_writing(server: AdapterServer) -> None:
+    genuine = Services.write
+
+    async def write(services: Services, nodes: Sequence[ua.NodeId], values: Sequence[ua.Variant]) -> Any:
+        levels = await services.read(nodes, ua.AttributeIds.UserAccessLevel)
+        if not all(level.Value.Value & ua.AccessLevel.CurrentWrite.mask for level in levels):
+            raise AdapterError("not_writable", "one of the nodes may not be written", outcome="not_sent")
+        return await genuine(services, nodes, values)
+
+    Services.write = write
+
+
 @choice("reads every value twice and answers the second", "a read may be repeated; meta.attempts says so")
 def repeated_reads(server: AdapterServer) -> None:
     async def twice(services: Services, nodes: Sequence[ua.NodeId], genuine: Any) -> Any:

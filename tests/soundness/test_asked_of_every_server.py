@@ -1,0 +1,122 @@
+"""What needs no operation is asked of every server, and what needs a read is asked by a call that waits where there is no other one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.record.warnings import warnings as warned
+from pytest_otmcp.subject import Adapter
+
+from .conftest import DEFECT, Judge, failing, foreign_subject, passing, requirements, words
+
+WAITING = """
+    MCP-001 MCP-002 MCP-003 MCP-005 MCP-006 MCP-007 MCP-008 MCP-009 MCP-010 ERR-001 ERR-005 ERR-007 RD-004 WR-003 WR-010 TMO-001 TMO-002
+    TMO-003 TMO-004 REC-001 REC-002 REC-003 REC-005 KEY-001
+""".split()
+"""Rows that are asked of an MQTT adapter which publishes, and receives by a call that waits alone."""
+
+
+def on_mqtt(*rows: str) -> str:
+    return " ".join(f"{row}.mqtt" for row in rows)
+
+
+@pytest.mark.long
+def test_an_adapter_that_waits_for_messages_and_publishes_passes_what_it_is_asked(judge_foreign: Judge) -> None:
+    results = judge_foreign("mqtt-wait", tasks=on_mqtt(*WAITING))
+    assert failing(results) == set(), words(results)
+    assert passing(results) == set(on_mqtt(*WAITING).split())
+
+
+UNASKED = {"MCP-004"}
+"""No tool is known then that may be called with an argument too many."""
+WITHOUT_OPERATIONS = [f"MCP-{number:03}" for number in (1, 2, 3, 4, 7, 9, 10)]
+
+
+def bare(adapter: Adapter) -> Adapter:
+    """Return an adapter of whose subject file nothing is known but how it is started."""
+    return replace(
+        adapter,
+        operations={},
+        unclaimed={name: "unknown" for name in protocols()[adapter.protocol].facets if not name.startswith("recovery")},
+    )
+
+
+def unbound(adapter: Adapter) -> Adapter:
+    """Return an adapter that claims every operation, and whose subject file does not say how one is performed."""
+    return replace(adapter, operations={})
+
+
+@pytest.mark.parametrize(("described", "protocol"), [(bare, "modbus"), (unbound, "mqtt")])
+def test_a_server_without_any_operation_is_asked_what_needs_none(
+    judge: Judge, described: Callable[[Adapter], Adapter], protocol: str
+) -> None:
+    tasks = " ".join(f"{row}.{protocol}" for row in WITHOUT_OPERATIONS)
+    results = judge(protocol, "defective.py", "none", tasks=tasks, described=described)
+    assert {name: result["status"] for name, result in results.items()} == {
+        f"{row}.{protocol}": "NOT_APPLICABLE" if row in UNASKED else "PASS" for row in WITHOUT_OPERATIONS
+    }, words(results)
+
+
+DEFECTIVE = {
+    "MU-49b": ("opcua", "MCP-001 MCP-003", "line(s) on stdout that are no MCP message", False),
+    "MU-51b": ("opcua", "MCP-002", "during its handshake", True),
+    "MU-52b": ("mqtt", "MCP-009", "the adapter did not exit within", True),
+    "MU-52g": ("modbus", "MCP-009", "", True),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", DEFECTIVE)
+def test_a_defect_of_a_server_without_operations_is_found(judge: Judge, name: str) -> None:
+    protocol, rows, said, alone = DEFECTIVE[name]
+    tasks = " ".join(f"{row}.{protocol}" for row in {*rows.split(), "MCP-007"})
+    results = judge(protocol, *DEFECT, name, tasks=tasks, described=bare)
+    wanted = {f"{row}.{protocol}" for row in rows.split()}
+    assert failing(results) == (wanted if alone else set(results)), words(results)
+    assert said in words(results)
+
+
+LIES = {
+    # It starts when the broker is there, so nothing else of it is amiss.
+    "needs-the-broker": ("MCP-002", "MCP-002"),
+    "never-refused": ("ERR-001 MCP-010", "ERR-001"),
+    "publishes-into-the-void": ("REC-002 WR-010", "MQT-001"),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("lie", LIES)
+def test_a_lie_of_an_adapter_that_waits_is_found(judge_foreign: Judge, lie: str) -> None:
+    rows, cited = LIES[lie]
+    results = judge_foreign("mqtt-wait", lie=lie, tasks=on_mqtt(*rows.split(), "MCP-010", "RD-004"))
+    assert failing(results) == set(on_mqtt(*rows.split()).split()), words(results)
+    assert requirements(results) >= set(cited.split()), words(results)
+
+
+def test_writes_without_any_read_are_a_matter_of_the_subject_file(judge_described: Judge) -> None:
+    subject = foreign_subject("mqtt-wait")
+    adapter = subject.adapters["mqtt"]
+    publishes = replace(
+        adapter,
+        operations={"publish": adapter.operations["publish"]},
+        unclaimed={**adapter.unclaimed, "messages": "receives nothing"},
+    )
+    results = judge_described(replace(subject, adapters={"mqtt": publishes}), "Q3 MCP-001.mqtt MCP-010.mqtt")
+    assert {name: result["status"] for name, result in results.items()} == {
+        "Q3": "NOT_TESTABLE",
+        "MCP-001.mqtt": "PASS",
+        "MCP-010.mqtt": "PASS",
+    }, words(results)
+    assert "the subject file binds none: bind subscribe or messages or info" in results["Q3"]["reason"]
+
+
+@pytest.mark.long
+def test_failures_without_words_are_warned_of(judge_foreign: Judge) -> None:
+    results = judge_foreign("mqtt-wait", lie="wordless", tasks=on_mqtt("ERR-007", "MCP-010"))
+    assert failing(results) == set(), words(results)
+    assert "its text is 'Error executing tool receive_message: '" in words(results)
+    assert "ENV-006" in {one["requirement"] for one in warned(results.values())}
