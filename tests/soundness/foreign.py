@@ -132,8 +132,11 @@ async def serve_by_hand(shape: Shape) -> None:
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     serving: set[asyncio.Task[None]] = set()
     while line := await reader.readline():
-        message = json.loads(line)
-        if "id" in message:
+        try:
+            message = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(message, dict) and {"id", "method"} <= message.keys():
             task = asyncio.create_task(answer(shape, message))
             serving.add(task)
             task.add_done_callback(serving.discard)

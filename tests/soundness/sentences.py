@@ -102,6 +102,8 @@ _RULES: Sequence[tuple[re.Pattern[str], Told]] = [
         (r"the adapter said (?:success|that it wrote )", _success),
         (r"the reply (?:says|tells) .*\bwith success|the reply says success", _success),
         (r"answered after \d+ ms|answered with a", _answered),
+        # A reading of the reply, not its words.
+        (r"the reply says (?:\[.*\] of \[|source |that it is )", _answered),
         (r"the reply says (.*?)(?:….*)?$", _quotes),
         (r"says itself that it is not the device's: (.*)", _quotes),
     )
