@@ -16,6 +16,7 @@ from typing import Any
 from uuid import UUID
 
 from asyncua import Client, Node, ua
+from asyncua.ua.ua_binary import nodeid_to_binary
 from mcp.server.mcpserver.exceptions import ToolError
 from strict_mcp import READS, WRITES, StrictServer, strict
 
@@ -83,7 +84,9 @@ async def plc() -> AsyncIterator[Client]:
 def node(client: Client, text: str) -> Node:
     """Return a node; raise for a text that is no node id."""
     try:
-        return client.get_node(text)
+        found = client.get_node(text)
+        nodeid_to_binary(found.nodeid)  # an index of more than 16 bits, or an id of more than 32, fails here
+        return found
     except Exception as error:
         raise ToolError(f"invalid_argument: {text!r} is no node id; nothing was sent") from error
 
