@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.exercise import Asked, Exercise
+from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.oracle import Witness
 from pytest_otmcp.protocols.registry import protocols
@@ -15,24 +15,17 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-from .within import within
+from .within import exercise
 
-__all__ = ["asked_of_the_device", "carried_out", "exercise_of", "guarded", "nothing_sent", "some_command"]
+__all__ = ["asked_of_the_device", "carried_out", "guarded", "nothing_sent", "some_command"]
 
 _LATE_S = 0.25
 """Seconds for which a message that no answer confirms may be on its way when the call is answered."""
 
 
-def exercise_of(at: Rig) -> Exercise:
-    """Return what checks for every protocol do on this one, as far as the adapter allows it."""
-    found = protocols()[at.protocol].exercise
-    assert found is not None, f"{at.protocol} has no exercise"
-    return within(at, found)
-
-
 def some_command(run: Repetition, at: Rig) -> Asked:
     """Make the write of an adapter that writes by named commands alone, with values drawn at random."""
-    return exercise_of(at).write(run.rng)
+    return exercise(at).write(run.rng)
 
 
 async def asked_of_the_device(at: Rig, asked: Asked, reply: Reply) -> Entries:
@@ -42,7 +35,7 @@ async def asked_of_the_device(at: Rig, asked: Asked, reply: Reply) -> Entries:
     """
     if not at.by_command_alone(asked.operation):
         return reply.during(await at.journal())
-    if reply.success and not exercise_of(at).done(_since(reply, await at.journal()), asked):
+    if reply.success and not exercise(at).done(_since(reply, await at.journal()), asked):
         await at.watch(_LATE_S)
     return _since(reply, await at.journal())
 
@@ -59,7 +52,7 @@ async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: st
     if not run.succeeds(reply, requirement=requirement):
         return
     seen = await asked_of_the_device(at, asked, reply)
-    count = len(exercise_of(at).done(seen, asked))
+    count = len(exercise(at).done(seen, asked))
     if count != 1:
         message = (
             f"{reply.label}: the device should have seen its effect, {_effect(asked)}, once, it saw it {count} times"
@@ -77,8 +70,8 @@ async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: st
 
 def _sent_otherwise(at: Rig, asked: Asked, entries: Entries) -> Mapping[str, object]:
     """Return what the request of a call says beside the value, where it is not what was asked for."""
-    exercise = exercise_of(at)
-    said = None if exercise.says is None else exercise.says(exercise.done(entries, asked)[0])
+    known = exercise(at)
+    said = None if known.says is None else known.says(known.done(entries, asked)[0])
     shown = {} if said is None else {name: said[name] for name in asked.sent if name in said}
     return {} if all(asked.sent[name] == value for name, value in shown.items()) else shown
 

@@ -6,6 +6,7 @@ that keeps them, and what cannot keep them is not asked for.
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -15,7 +16,7 @@ from pytest_otmcp.protocols.exercise import Asked, Contended, Exercise
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.rig import Command, Rig
 
-__all__ = ["allowed", "commanding", "within"]
+__all__ = ["allowed", "commanding", "exercise"]
 
 T = TypeVar("T")
 
@@ -23,21 +24,31 @@ _DRAWS = 5000
 """Calls that are made at random to find one within the bounds: of 65536 values a hundred may be allowed."""
 _DRAWS_OF_MANY = 500
 
+_WAITS_S = 1
+"""Seconds that a call may wait for a message, which comes a tenth of a second after it has subscribed."""
+
 
 def allowed(at: Rig, asked: Asked) -> bool:
     """Tell whether the schema of the tool allows a call, and a named command can express it where the adapter has nothing else for it."""
     return at.expresses(asked.operation, asked.inputs) and at.excess(asked.operation, **asked.inputs) is None
 
 
-def within(at: Rig, exercise: Exercise) -> Exercise:
-    """Return the exercise as far as the schemas of the adapter's tools allow it, by its named commands where it has some."""
-    return _narrowed(at, _by_command(at, _answered(at, exercise)))
+def exercise(at: Rig) -> Exercise:
+    """Return what checks for every protocol do on this one: as far as the schemas of the adapter's tools allow it, by its named commands
+    where it has some, and by a call that waits or a status where it has no other read."""
+    found = protocols()[at.protocol].exercise
+    assert found is not None, f"{at.protocol} has no exercise, so it has no such checks"
+    return _narrowed(at, _by_command(at, _answered(at, found)))
 
 
 def _answered(at: Rig, exercise: Exercise) -> Exercise:
-    """Return the exercise with a status in the place of the read, for an adapter that has no read."""
+    """Return the exercise with a call that waits, or else a status, in the place of the read, for an adapter that has no read."""
     if at.claims(exercise.reading):
         return exercise
+    waiting = exercise.waiting
+    if waiting is not None and at.blocks(waiting.operation):
+        seconds = math.ceil(_WAITS_S * max(1.0, at.time_scale))
+        return replace(exercise, reading=waiting.operation, read=lambda rng: waiting.read(rng, seconds))
     calls = (call for call in protocols()[at.protocol].proof.unreachable if at.claims(call.operation))
     asked = next((call for call in calls if at.can_ask(call.operation, call.made(random.Random(0)))), None)
     if asked is None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+from pytest_otmcp.core.instants import same_instant
 from pytest_otmcp.core.strict_json import same_json
 from pytest_otmcp.trial.reply import Reply
 
@@ -27,7 +28,6 @@ __all__ = [
     "leaves",
     "moment_text",
     "said_by",
-    "same_instant",
 ]
 
 _INTEGERS = {
@@ -86,22 +86,6 @@ def leaves(value: object) -> Iterator[object]:
             yield from leaves(member)
     else:
         yield value
-
-
-def _instant(text: object) -> datetime | None:
-    if not isinstance(text, str):
-        return None
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        return None
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
-
-
-def same_instant(found: object, value: str) -> bool:
-    """Tell whether a text is this time, to the millisecond."""
-    told, meant = _instant(found), _instant(value)
-    return told is not None and meant is not None and abs(told - meant) < timedelta(milliseconds=1)
 
 
 def _same_long(found: object, value: int) -> bool:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.core.instants import same_instant
 from pytest_otmcp.core.strict_json import same_json
 from pytest_otmcp.protocols.journal import Entries, Image
 from pytest_otmcp.protocols.opcua import oracle
@@ -26,7 +27,6 @@ from .opcua_values import (
     leaves,
     moment_text,
     said_by,
-    same_instant,
 )
 from .steps import CONNECTION_FAULTS, a_read_works, refused_before_the_wire
 

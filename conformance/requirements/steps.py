@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.exercise import Asked, Exercise
+from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries, JournalEntry
 from pytest_otmcp.protocols.oracle import Witness
 from pytest_otmcp.protocols.registry import protocols
@@ -18,7 +18,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
 from ..commanded import asked_of_the_device
-from ..within import within
+from ..within import exercise
 
 __all__ = [
     "CONNECTION_FAULTS",
@@ -55,9 +55,6 @@ __all__ = [
 QUIET_S = 0.25
 """Seconds for which a device is watched for a request that must not come."""
 
-_WAITS_S = 1
-"""Seconds that a call may wait for a message, which comes a tenth of a second after it has subscribed."""
-
 _POLLED_S = 3.0
 """How long is looked for requests that nobody has asked for, before equal requests are held against a call."""
 
@@ -65,17 +62,6 @@ CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
 
 NOTHING_SENT = ("not_sent", "not_applicable")
 """Outcomes of a call that the adapter refuses by itself; a read may have none."""
-
-
-def exercise(at: Rig) -> Exercise:
-    """Return what checks for every protocol do on this one, within the bounds that the adapter's tools state."""
-    found = protocols()[at.protocol].exercise
-    assert found is not None, f"{at.protocol} has no exercise, so it has no such checks"
-    waiting = found.waiting
-    if waiting is not None and not at.claims(found.reading) and at.blocks(waiting.operation):
-        seconds = math.ceil(_WAITS_S * max(1.0, at.time_scale))
-        found = replace(found, reading=waiting.operation, read=lambda rng: waiting.read(rng, seconds))
-    return within(at, found)
 
 
 def can_read(run: Repetition, at: Rig) -> bool:

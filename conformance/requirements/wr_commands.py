@@ -7,8 +7,8 @@ from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 
-from ..commanded import carried_out, exercise_of
-from ..within import allowed, commanding
+from ..commanded import carried_out
+from ..within import allowed, commanding, exercise
 
 __all__ = ["TASKS"]
 
@@ -36,7 +36,7 @@ async def commands_have_their_effect(run: Repetition, at: Rig) -> None:
 def _every_command(run: Repetition, at: Rig) -> list[Asked]:
     """Return calls of each command, as far as the schemas of their tools allow them."""
     every = [
-        commanding(at, exercise_of(at), operation, inputs)
+        commanding(at, exercise(at), operation, inputs)
         for operation, command in at.commands()
         for inputs in (*command.examples(), *(command.drawn(run.rng) for _ in range(_DRAWN)))
     ]

@@ -20,7 +20,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-from ..within import allowed, within
+from ..within import allowed, exercise
 
 __all__ = [
     "CONNECTION_FAULTS",
@@ -352,8 +352,7 @@ async def writes_fail(run: Repetition, rig: Rig) -> bool:
 
 def each_write(run: Repetition, rig: Rig) -> list[Asked]:
     """Return one write by every operation that writes and that the adapter has, with inputs that the schema of its tool allows."""
-    exercise = protocols()[rig.protocol].exercise
-    every = [] if exercise is None else within(rig, exercise).each_write(run.rng)
+    every = [] if protocols()[rig.protocol].exercise is None else exercise(rig).each_write(run.rng)
     return [asked for asked in every if rig.can_ask(asked.operation, asked.inputs) and allowed(rig, asked)]
 
 

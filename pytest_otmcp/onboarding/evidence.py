@@ -6,10 +6,11 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
 from typing import Any
 
+from ..core.instants import same_instant
 from ..subject.answers import extract, interpret, read_answer
+from ..subject.bindings import output_rule
 from ..subject.model import Answering, OutcomeRule, OutputRule
 
 __all__ = [
@@ -69,8 +70,7 @@ class Sample:
 
     def read(self, form: str, rule: Mapping[str, object]) -> object:
         """Return what a rule finds in the answer."""
-        output = OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in rule.items()})  # type: ignore[arg-type]
-        return extract({"x": output.about(self.told)}, read_answer(self.message, form)[0])["x"]
+        return extract({"x": output_rule(rule).about(self.told)}, read_answer(self.message, form)[0])["x"]
 
     def fits(self, form: str, rule: Mapping[str, object]) -> bool:
         """Tell whether a rule finds the value."""
@@ -134,20 +134,9 @@ def same_value(found: object, expected: object) -> bool:
         return abs(found - expected) < 1e-9
     if isinstance(expected, int) and abs(expected) > _EXACT and found == str(expected):
         return True
-    if isinstance(expected, str) and isinstance(found, str) and found != expected:
-        one, other = _instant(found), _instant(expected)
-        return one is not None and other is not None and abs(one - other) < timedelta(milliseconds=1)
+    if isinstance(expected, str) and _DATE.match(expected) is not None:
+        return found == expected or same_instant(found, expected)
     return bool(found == expected)
-
-
-def _instant(text: str) -> datetime | None:
-    if _DATE.match(text) is None:
-        return None
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        return None
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
 
 
 def _rules(document: object, expected: object, told: Mapping[str, object]) -> Iterator[dict[str, Any]]:

@@ -8,7 +8,7 @@ from typing import Any
 from .kinds import Refusal
 from .model import Answering, Binding, ErrorRule, OutcomeRule, OutputRule
 
-__all__ = ["read_answering", "read_bindings"]
+__all__ = ["output_rule", "read_answering", "read_bindings"]
 
 
 def read_answering(table: Mapping[str, Any], key: str, default: Answering) -> Answering:
@@ -46,7 +46,7 @@ def _binding(table: Mapping[str, Any], key: str, answering: Answering) -> Bindin
         resource="resource" in table,
         blocking=table["blocking"],
         arguments=table["arguments"],
-        outputs={name: _output_rule(rule) for name, rule in table["result"].items()},
+        outputs={name: output_rule(rule) for name, rule in table["result"].items()},
         answering=read_answering(table, key, answering),
         when=table["when"],
         offset=table["offset"],
@@ -73,7 +73,8 @@ def _outcome_rule(table: Mapping[str, Any]) -> OutcomeRule:
     )
 
 
-def _output_rule(rule: str | Mapping[str, Any]) -> OutputRule:
+def output_rule(rule: str | Mapping[str, Any]) -> OutputRule:
+    """Return the rule that an entry of a ``result`` table is."""
     if isinstance(rule, str):
         return OutputRule(path=rule)
     return OutputRule(
@@ -83,5 +84,5 @@ def _output_rule(rule: str | Mapping[str, Any]) -> OutputRule:
         strip=rule.get("strip"),
         convert=rule.get("as"),
         then=rule.get("then"),
-        wrap=rule["wrap"],
+        wrap=rule.get("wrap", False),
     )

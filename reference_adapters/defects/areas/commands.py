@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ...core import AdapterError, AdapterServer, Call
+from ...core import AdapterServer, Call
 from ..any_protocol import guard_after_sending
 from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of
+from .err import retries_when_back
 from .wr import sent_again
 
 __all__ = ["MUTANTS"]
@@ -54,39 +55,6 @@ def carried_out_twice(*names: str) -> Bend:
         return handler
 
     return each(*names, change=twice)
-
-
-def made_up_for(*names: str, status: str) -> Bend:
-    """Return the defect that what these tools could not send is sent after the outage, when the status is asked for."""
-    kept: list[tuple[Handler, Any]] = []
-
-    def keeping(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code in ("connect_failed", "connection_lost"):
-                    kept.append((genuine, arguments))
-                raise
-            return data
-
-        return handler
-
-    def delivering(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments)
-            while kept:
-                late, what = kept.pop()
-                await late(call, what)
-            return data
-
-        return handler
-
-    def bend(server: AdapterServer) -> None:
-        each(*names, change=keeping)(server)
-        each(status, change=delivering)(server)
-
-    return bend
 
 
 def denied_after_sending(*names: str) -> Bend:
@@ -204,7 +172,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "MU-29n",
         "modbus",
         "A valve that could not be moved is moved after the outage.",
-        made_up_for(_VALVE, status="plant_status"),
+        retries_when_back(_VALVE),
         "WR-010.modbus",
         "WR-010",
     ),
@@ -212,7 +180,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "MU-29nq",
         "mqtt",
         "A bell that could not be rung rings after the outage.",
-        made_up_for(_BELL, status="bridge_status"),
+        retries_when_back(_BELL),
         "WR-010.mqtt",
         "WR-010",
     ),

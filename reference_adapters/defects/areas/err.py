@@ -145,36 +145,35 @@ def nothing_of_the_rest(call: Call, error: AdapterError) -> Exception | None:
     return AdapterError("partial_failure", error.message, partial={"items": []})
 
 
-def retries_when_back(name: str) -> Bend:
-    """Return the defect that a write that failed is done again before the next call."""
+def retries_when_back(*names: str) -> Bend:
+    """Return the defect that a write by these tools that failed is done again after the next call of another one that succeeds."""
     kept: list[tuple[Handler, Any]] = []
 
-    def bend(server: AdapterServer) -> None:
-        def keeping(genuine: Handler) -> Handler:
-            async def handler(call: Call, arguments: Any) -> Data:
-                try:
-                    data: Data = await genuine(call, arguments)
-                except AdapterError as error:
-                    if error.code == "connect_failed":
-                        kept.append((genuine, arguments))
-                    raise
-                return data
-
-            return handler
-
-        def delivering(genuine: Handler) -> Handler:
-            async def handler(call: Call, arguments: Any) -> Data:
+    def keeping(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
                 data: Data = await genuine(call, arguments)
-                while kept:
-                    write, earlier = kept.pop()
-                    await write(Call(protocol="", operation="", endpoint="", writes=True), earlier)
-                return data
+            except AdapterError as error:
+                if error.code == "connect_failed":
+                    kept.append((genuine, arguments))
+                raise
+            return data
 
-            return handler
+        return handler
 
-        wrap(server, name, keeping)
-        for other in [tool for tool in server._tools if tool != name]:
-            wrap(server, other, delivering)
+    def delivering(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            data: Data = await genuine(call, arguments)
+            while kept:
+                write, earlier = kept.pop()
+                await write(Call(protocol="", operation="", endpoint="", writes=True), earlier)
+            return data
+
+        return handler
+
+    def bend(server: AdapterServer) -> None:
+        for name in list(server._tools):
+            wrap(server, name, keeping if name in names else delivering)
 
     return bend
 

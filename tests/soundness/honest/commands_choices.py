@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, cast
 
 from pytest_otmcp.reference_adapters.core import AdapterServer
 from pytest_otmcp.reference_adapters.modbus import named as modbus_named
@@ -53,6 +54,20 @@ def tools_of(server: AdapterServer, status: str) -> Any:
     return tools
 
 
+def publishing(server: AdapterServer, change: Callable[[Publish], dict[str, Any]]) -> None:
+    """Change the members of each message that a command publishes."""
+    genuine = tools_of(server, "get_broker_info")
+
+    class Changed:
+        get_broker_info = staticmethod(genuine.get_broker_info)
+
+        async def publish_message(self, call: Any, arguments: Publish) -> Any:
+            return await genuine.publish_message(call, arguments.model_copy(update=change(arguments)))
+
+    # The named tools use these two methods and no other.
+    server.add(mqtt_named.NamedTools(cast(Any, Changed())))
+
+
 @modbus(
     "commands several coils and several registers, one of each",
     "MODBUS Application Protocol, sections 6.11 and 6.12: one cell may be written so",
@@ -70,7 +85,7 @@ def writes_blocks_of_one(server: AdapterServer) -> None:
         async def write_coil(self, call: Any, arguments: Any) -> None:
             await genuine.write_coils_bulk(call, WriteCoils(address=arguments.address, values=[arguments.value]))
 
-    server.add(modbus_named.NamedTools(Blocks()))  # type: ignore[arg-type]
+    server.add(modbus_named.NamedTools(cast(Any, Blocks())))
 
 
 @mqtt(
@@ -79,19 +94,13 @@ def writes_blocks_of_one(server: AdapterServer) -> None:
     described=_named,
 )
 def stamps_its_messages(server: AdapterServer) -> None:
-    genuine = tools_of(server, "get_broker_info")
+    def stamped(message: Publish) -> dict[str, Any]:
+        if not message.payload.startswith("{"):
+            return {}
+        stamp = {"ts": time.time_ns(), "source": {"adapter": "otmcp"}}
+        return {"payload": json.dumps({**stamp, **json.loads(message.payload)}, indent=1)}
 
-    class Stamping:
-        get_broker_info = staticmethod(genuine.get_broker_info)
-
-        async def publish_message(self, call: Any, arguments: Publish) -> Any:
-            payload = arguments.payload
-            if payload.startswith("{"):
-                stamp = {"ts": time.time_ns(), "source": {"adapter": "otmcp"}}
-                payload = json.dumps({**stamp, **json.loads(payload)}, indent=1)
-            return await genuine.publish_message(call, arguments.model_copy(update={"payload": payload}))
-
-    server.add(mqtt_named.NamedTools(Stamping()))  # type: ignore[arg-type]
+    publishing(server, stamped)
 
 
 @mqtt(
@@ -100,12 +109,4 @@ def stamps_its_messages(server: AdapterServer) -> None:
     described=_without_qos,
 )
 def commands_without_acknowledgement(server: AdapterServer) -> None:
-    genuine = tools_of(server, "get_broker_info")
-
-    class Unacknowledged:
-        get_broker_info = staticmethod(genuine.get_broker_info)
-
-        async def publish_message(self, call: Any, arguments: Publish) -> Any:
-            return await genuine.publish_message(call, arguments.model_copy(update={"qos": 0}))
-
-    server.add(mqtt_named.NamedTools(Unacknowledged()))  # type: ignore[arg-type]
+    publishing(server, lambda message: {"qos": 0})
