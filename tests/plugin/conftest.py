@@ -22,13 +22,16 @@ def empty_repository(tmp_path: Path, warm_start: WarmStart) -> Repository:
 
 @pytest.fixture
 def interruptible() -> Iterator[None]:
-    """Lets Ctrl-C end the processes that a test starts.
+    """Lets Ctrl-C and the end of a terminal end the processes that a test starts.
 
-    A shell without job control starts background programs with SIGINT ignored, and child processes inherit that.
+    A shell without job control starts background programs with SIGINT ignored, ``nohup`` with SIGHUP ignored, and child processes inherit
+    that.
     """
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    asked = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in asked.items()}
     yield
-    signal.signal(signal.SIGINT, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture

@@ -221,6 +221,7 @@ def test_an_http_adapter_with_writes_enabled_does_not_outlive_a_run_that_is_ende
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("ending", ["SIGTERM", "SIGINT"])
 def test_a_parallel_run_that_is_ended_records_what_was_running_and_leaves_nothing(
     repository: Repository, waiting: socket.socket, ending: str
