@@ -13,6 +13,7 @@ import re
 import shutil
 import warnings
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -106,8 +107,18 @@ def _of_node(path: Path) -> Iterator[Path]:
         yield path.with_suffix(path.suffix.replace("js", "ts"))
 
 
-def _imported(file: Path) -> list[str]:
+def _imported(file: Path) -> Sequence[str]:
     """Return what a file imports: the first part of the names of Python modules, the whole names of those of Node.js."""
+    try:
+        status = file.stat()
+    except OSError:
+        return ()
+    return _parsed(file, status.st_mtime_ns, status.st_size)
+
+
+# Each session asks anew, and an installed package may have as many files as are read.
+@lru_cache(maxsize=8 * _FILES)
+def _parsed(file: Path, changed_ns: int, size: int) -> Sequence[str]:
     source = _text(file)
     if file.suffix in _NODE:
         return [found["name"] for found in _OF_NODE.finditer(source) if found["name"]]
