@@ -432,12 +432,15 @@ async def write_to_another_device(run: Repetition, profibus: Rig) -> None:
     """
     await profibus.poke(station=VALVES, ident=f"{run.rng.randrange(0x8000):04x}")
     before = await profibus.image()
-    reply = await profibus.call("write_outputs", slave=VALVES, data=outputs(run))
+    values = outputs(run)
+    reply = await profibus.call("write_outputs", slave=VALVES, data=values)
     after = await profibus.image()
     await profibus.poke(station=VALVES, ident=oracle.IDENT[VALVES])
     run.fails(reply, "config_error", outcome=("not_sent", "rejected"), requirement="ERR-002")
     run.witnessed(
-        oracle.no_outputs_sent(reply.during(await profibus.journal()), VALVES, requirement=untold(reply, "ERR-002")),
+        oracle.no_outputs_sent(
+            reply.during(await profibus.journal()), VALVES, bytes(values), requirement=untold(reply, "ERR-002")
+        ),
         oracle.only_changed(before, after, {}, otherwise=untold(reply, "ERR-002")),
     )
 

@@ -146,9 +146,13 @@ def test_inputs_must_be_sent_to_have_been_read() -> None:
 
 
 def test_outputs_for_a_slave_are_found() -> None:
-    assert oracle.no_outputs_sent([entry(0, "in", SET_PRM)], 5) == []
-    assert requirements(oracle.no_outputs_sent([entry(0, "in", EXCHANGE)], 5)) == ["ERR-006"]
-    assert oracle.no_outputs_sent([entry(0, "in", EXCHANGE)], 8) == []
+    asked, older = b"\x12\x34", b"\x56\x78"
+    repeated = entry(0, "in", EXCHANGE, state_changing=False)
+    assert oracle.no_outputs_sent([entry(0, "in", SET_PRM)], 5, asked) == []
+    assert requirements(oracle.no_outputs_sent([entry(0, "in", EXCHANGE)], 5, older)) == ["ERR-006"]
+    assert requirements(oracle.no_outputs_sent([repeated], 5, asked)) == ["ERR-006"]
+    assert oracle.no_outputs_sent([repeated], 5, older) == []
+    assert oracle.no_outputs_sent([entry(0, "in", EXCHANGE)], 8, asked) == []
 
 
 def test_a_slave_without_watchdog_and_outputs_that_stay_are_found() -> None:

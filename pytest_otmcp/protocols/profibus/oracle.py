@@ -115,9 +115,14 @@ def exactly_one_write(entries: Entries, *, station: int, outputs: bytes) -> list
     return _WITNESS.exactly_one_write(entries, f"Data_Exchange of {outputs.hex()} with {station}", problem)
 
 
-def no_outputs_sent(entries: Entries, station: int, *, requirement: str = "ERR-006") -> list[Finding]:
-    """Expect that no outputs were sent to a slave, other than those that a master has sent it before."""
-    sent = [entry for entry in _asked(entries, ("data_exchange",), station) if entry["kind"] == "request"]
+def no_outputs_sent(entries: Entries, station: int, outputs: bytes, *, requirement: str = "ERR-006") -> list[Finding]:
+    """Expect that a slave was sent neither these outputs nor any that change it. A master repeats older outputs until it learns that
+    the slave has left it."""
+    sent = [
+        entry
+        for entry in _asked(entries, ("data_exchange",), station)
+        if entry["state_changing"] or as_profibus(entry).get("data") == outputs.hex()
+    ]
     if not sent:
         return []
     message = f"the segment should have seen no outputs for slave {station}, it saw {_shown(sent)}"
