@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, 
 from typing import Any, cast
 
 from ..core.strict_json import same_json
-from ..protocols.bounds import Bounds
+from ..protocols.bounds import Bounds, Times
 from ..protocols.protocol import Declared
 from ..record.images import Images, restore_image
 from ..record.schema import (
@@ -222,6 +222,11 @@ class ReplayRig(Rig):
     def bounds(self) -> Bounds:
         told = self._state.adapter.facts.get("bounds")
         return Bounds() if told is None else Bounds.of_record(told)
+
+    @property
+    def times(self) -> Times | None:
+        told = self._state.adapter.facts.get("times")
+        return None if told is None else Times.of_record(told)
 
     def probe(self, name: str) -> Any:
         return self._state.adapter.facts["probes"][name]

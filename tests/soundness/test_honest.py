@@ -51,6 +51,9 @@ NEIGHBOURS = [
     ("mqtt/says-which-settings-it-has", "KEY-001.mqtt"),
     ("mqtt/helper-with-the-password", "KEY-001.mqtt"),
     ("opcua/reads-before-browsing", "OUA-006.opcua"),
+    ("modbus/asks-three-times", "TMO-001.modbus TMO-002.modbus"),
+    ("s7/reads-again-after-silence", "TMO-002.s7"),
+    ("bacnet/reads-all-properties", "TMO-002.bacnet"),
     ("opcua/looks-before-writing", "O3 WR-001.opcua WR-002.opcua"),
 ]
 """Honest adapters, each with the check that it is made for."""
