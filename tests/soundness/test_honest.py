@@ -54,6 +54,7 @@ NEIGHBOURS = [
     ("modbus/asks-three-times", "TMO-001.modbus TMO-002.modbus"),
     ("s7/reads-again-after-silence", "TMO-002.s7"),
     ("bacnet/reads-all-properties", "TMO-002.bacnet"),
+    ("profibus/asks-for-any-station", "ADR-002.profibus"),
     ("opcua/looks-before-writing", "O3 WR-001.opcua WR-002.opcua"),
 ]
 """Honest adapters, each with the check that it is made for."""
