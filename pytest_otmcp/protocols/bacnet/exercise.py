@@ -257,7 +257,7 @@ EXERCISE = Exercise(
     bounded=("device", "instance", "priority"),
     done=_done,
     reads=({"service": 12}, {"service": 14}),
-    writes=({"service": 15},),
+    writes=({"service": 15}, {"service": 16}),
     refusals=_refusals,
     silent=({"action": {"drop": True}},),
     # Datagrams have no connection that could be reset: what comes nearest is an answer that is lost.
