@@ -179,10 +179,12 @@ class Waiting:
     Attributes:
         operation: its name.
         read: makes a call that the device has to answer; the argument behind the random numbers is how many seconds it may wait.
+        device_texts: as the exercise's own, for an adapter whose calls of this operation wait; the second argument as for ``read``.
     """
 
     operation: str
     read: Callable[[random.Random, int], Asked]
+    device_texts: Callable[[str, int], tuple[DeviceText, ...]] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
