@@ -93,6 +93,7 @@ async def repetitions_are_bounded(run: Repetition, at: Rig, retimed: Rig | None 
     Why: repetitions of the adapter and of its library multiply; a device that is slow already is asked twelve times. A setting that has
         no effect is found out when the plant stands still.
     """
+    await a_read_works(run, at)
     reply, same = await _read_in_silence(run, at)
     attempts = _attempts(reply)
     if attempts is not None and len(same) > attempts and not await polls(at, same):
@@ -105,7 +106,6 @@ async def repetitions_are_bounded(run: Repetition, at: Rig, retimed: Rig | None 
 
 async def _read_in_silence(run: Repetition, at: Rig) -> tuple[Reply, list[JournalEntry]]:
     """Return the reply to a read while the device is silent, and the equal requests that the device saw."""
-    await a_read_works(run, at)
     await at.fault(*faulty(exercise(at).reads, **silence(at)))
     asked = exercise(at).read(run.rng)
     reply = await at.call(asked.operation, **asked.inputs)
@@ -115,24 +115,37 @@ async def _read_in_silence(run: Repetition, at: Rig) -> tuple[Reply, list[Journa
 
 
 async def _settings_have_their_effect(run: Repetition, at: Rig) -> None:
-    """Read with other settings while the device is silent: the time, and the requests, are those that the subject file says of them."""
+    """Read with other settings while the device is silent: the time, and the requests, are those that the subject file says of them. With
+    short time limits a call may fail because something stood still, so what works is asked for until it does; and what is wrong is
+    wrong twice."""
+    await answers_again(run, at)
+    found: list[Finding] = []
+    for _ in range(2):
+        found = await _ignored_settings(run, at)
+        await answers_again(run, at)
+        if not found:
+            return
+    run.witnessed(found)
+
+
+async def _ignored_settings(run: Repetition, at: Rig) -> list[Finding]:
     times = at.times
     assert times is not None
     reply, same = await _read_in_silence(run, at)
     deadline_ms = times.deadline_s * at.time_scale * 1000
+    said = f"{reply.label}: with the settings of the launch 'retimed'"
+    found = []
     if reply.latency_ms is not None and reply.latency_ms > deadline_ms:
-        message = (
-            f"{reply.label}: with the settings of the launch 'retimed' a call to a silent device should end within {deadline_ms:.0f} ms, "
-            f"this one took {reply.latency_ms:.0f} ms"
-        )
-        run.finding("setting_ignored", message, "TMO-002")
+        message = f"{said} a call to a silent device should end within {deadline_ms:.0f} ms, this one took {reply.latency_ms:.0f} ms"
+        found.append(Finding(code="setting_ignored", message=message, requirement="TMO-002"))
     if times.attempts is not None and len(same) != times.attempts and not (same and await polls(at, same)):
         message = (
-            f"{reply.label}: with the settings of the launch 'retimed' the device should have seen the same request "
-            f"{counted(times.attempts, 'time')}, it saw it {counted(len(same), 'time')}"
+            f"{said} the device should have seen the same request {counted(times.attempts, 'time')}, "
+            f"it saw it {counted(len(same), 'time')}"
         )
-        run.finding("setting_ignored", message, "TMO-002", evidence=protocols()[at.protocol].seen(same))
-    await answers_again(run, at)
+        evidence = protocols()[at.protocol].seen(same)
+        found.append(Finding(code="setting_ignored", message=message, requirement="TMO-002", evidence=evidence))
+    return found
 
 
 def _attempts(reply: Reply) -> int | None:

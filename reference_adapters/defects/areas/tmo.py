@@ -140,8 +140,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "modbus",
         "Every byte of an answer begins the time limit anew.",
         patient_with_every_byte,
-        "TMO-001.modbus",
-        "TMO-001",
+        "TMO-001.modbus TMO-002.modbus",
+        "TMO-001 TMO-002",
     ),
     _mutant(
         "MU-31",
