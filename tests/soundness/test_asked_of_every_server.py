@@ -175,3 +175,14 @@ def test_a_text_that_is_bent_by_the_only_read_is_found(
 ) -> None:
     results = judge(protocol, *DEFECT, name, tasks=f"{row}.{protocol}", described=only(operation))
     assert failing(results) == {f"{row}.{protocol}"}, words(results)
+
+
+@pytest.mark.parametrize("row", ["ENC-003", "ENC-004", "ENC-005"])
+def test_numbers_that_no_operation_reads_are_not_asked_for(judge: Judge, row: str) -> None:
+    command = (sys.executable, "-P", "-m", "pytest_otmcp.reference_adapters", "profibus")
+    results = judge("profibus", command=command, tasks=f"{row}.profibus", described=only("read_inputs"))
+    (result,) = results.values()
+    assert (result["status"], result["reason"]) == (
+        "NOT_APPLICABLE",
+        "the adapter has no operation that reads such a number",
+    )
