@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from pytest_otmcp.protocols.exercise import Asked, Contended, Exercise
+from pytest_otmcp.protocols.exercise import Asked, Contended, DeviceText, Exercise
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.rig import Command, Rig
 
@@ -38,7 +38,25 @@ def exercise(at: Rig) -> Exercise:
     where it has some, and by a call that waits or a status where it has no other read."""
     found = protocols()[at.protocol].exercise
     assert found is not None, f"{at.protocol} has no exercise, so it has no such checks"
-    return _narrowed(at, _by_command(at, _answered(at, found)))
+    return _narrowed(at, _by_command(at, _answered(at, _waiting_for_texts(at, found))))
+
+
+def _waiting_s(at: Rig) -> int:
+    return math.ceil(_WAITS_S * max(1.0, at.time_scale))
+
+
+def _waiting_for_texts(at: Rig, exercise: Exercise) -> Exercise:
+    """Return the exercise with the texts that calls wait for, in the place of those that calls of these operations would have."""
+    texts, waiting = exercise.device_texts, exercise.waiting
+    if texts is None:
+        return exercise
+    waited_for = waiting.device_texts if waiting is not None and at.blocks(waiting.operation) else None
+
+    def device_texts(name: str) -> tuple[DeviceText, ...]:
+        prompt = (place for place in texts(name) if not at.blocks(place.ask("").operation))
+        return (*(waited_for(name, _waiting_s(at)) if waited_for else ()), *prompt)
+
+    return replace(exercise, device_texts=device_texts)
 
 
 def _answered(at: Rig, exercise: Exercise) -> Exercise:
@@ -47,8 +65,7 @@ def _answered(at: Rig, exercise: Exercise) -> Exercise:
         return exercise
     waiting = exercise.waiting
     if waiting is not None and at.blocks(waiting.operation):
-        seconds = math.ceil(_WAITS_S * max(1.0, at.time_scale))
-        return replace(exercise, reading=waiting.operation, read=lambda rng: waiting.read(rng, seconds))
+        return replace(exercise, reading=waiting.operation, read=lambda rng: waiting.read(rng, _waiting_s(at)))
     calls = (call for call in protocols()[at.protocol].proof.unreachable if at.claims(call.operation))
     asked = next((call for call in calls if at.can_ask(call.operation, call.made(random.Random(0)))), None)
     if asked is None:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from functools import partial
 from typing import Any
 
+from pytest_otmcp.core.error_registry import wire_codes
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.strict_json import same_json
 from pytest_otmcp.protocols.journal import Entries, Image
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.tags import TAGS
 from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.alteration import DEEP, ELEMENTS, Alteration, filler
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
@@ -21,6 +23,7 @@ from pytest_otmcp.trial.rig import Rig
 
 from .registers import registers, same_bits
 from .steps import (
+    CONNECTION_FAULTS,
     NOTHING_SENT,
     a_read_works,
     a_write_works,
@@ -101,7 +104,7 @@ async def what_is_no_address_is_refused(run: Repetition, modbus: Rig) -> None:
     """
     await a_read_works(run, modbus)
     await a_write_works(run, modbus)
-    refused = partial(_refused, run, modbus, relayed=modbus_oracle.codes_of_refusals)
+    refused = partial(_refused, run, modbus)
     random = run.rng.randrange(SIZE, 2**31)
     for address in (-1, SIZE, random, 2**31, 10.5, "0x10"):
         await refused("read_holding", {"address": 20, "count": 1}, "address", address)
@@ -114,7 +117,9 @@ async def what_is_no_address_is_refused(run: Repetition, modbus: Rig) -> None:
     ):
         for unit in (-1, 256, 257, 2**31, 1.5, "0x1", 248, 254):
             if modbus.accepts_input(operation, "unit"):
-                await refused(operation, {**inputs, "unit": 1}, "unit", unit)
+                # A reserved unit is a number that a gateway may have been given.
+                nobody = _NOBODY if unit in (248, 254) else ()
+                await refused(operation, {**inputs, "unit": 1}, "unit", unit, nobody=nobody)
     await a_read_works(run, modbus)
     await a_write_works(run, modbus)
 
@@ -126,23 +131,29 @@ async def _refused(
     inputs: Mapping[str, Any],
     name: str,
     value: object,
-    relayed: Callable[[Entries], Sequence[str]] = lambda _: (),
+    nobody: Sequence[str] = (),
 ) -> None:
-    """Call with a value outside of its input's domain.
+    """Call with a value outside of its input's domain. The device may be the one that refuses: then the code is that of what it said.
 
     Args:
-        relayed: the codes of what the device said during the call: it may be the one that refuses.
+        nobody: codes that say that there is nothing with this value, where it can be sent.
     """
     reply = await _with(at, operation, inputs, name, value)
     if reply is None:
         return
     seen = reply.during(await at.journal())
-    # A reserved unit is a number that a gateway may have been given.
-    codes = (*_OUTSIDE, *_NOBODY) if name == "unit" and value in (248, 254) else _OUTSIDE
-    outcomes = (*NOTHING_SENT, "unknown", "rejected") if codes != _OUTSIDE else (*NOTHING_SENT, "rejected")
-    run.fails(reply, *codes, *relayed(seen), outcome=outcomes, requirement="ADR-002", code_requirement="ERR-002")
-    if reply.error_code not in _NOBODY:
+    codes = (*_OUTSIDE, *nobody, *_relayed(at, seen))
+    outcomes = (*NOTHING_SENT, "rejected", *(("unknown",) if nobody else ()))
+    run.fails(reply, *codes, outcome=outcomes, requirement="ADR-002", code_requirement="ERR-002")
+    if reply.error_code not in nobody:
         run.witnessed(nothing_arrived(at, seen, requirement="ADR-002"))
+
+
+def _relayed(at: Rig, seen: Entries) -> list[str]:
+    """Return the error codes of what the device said when it refused."""
+    known, refusals = wire_codes(protocols()[at.protocol].package), exercise(at).refusals
+    keys = dict.fromkeys(key for entry in seen for key in refusals(entry) if key in known)
+    return [code for key in keys for code in known[key].codes]
 
 
 async def _with(at: Rig, operation: str, inputs: Mapping[str, Any], name: str, value: object) -> Reply | None:
@@ -482,7 +493,8 @@ async def what_is_outside_of_a_domain_is_refused(run: Repetition, at: Rig) -> No
     are cut down to fit. Before and after, with what there is.
 
     Said: failures with `invalid_input`, `illegal_address`, `limit_exceeded`, `range_overflow` or `type_mismatch`, and the outcome
-        `not_sent` or `rejected`; success before and after.
+        `not_sent` or `rejected`, or with the code of the answer by which the device refused it; for an address that no device may have
+        also that nothing answered. Success before and after.
     Seen: nothing that changes the plant.
     Why: an address that is cut down to fit is another machine.
     """
@@ -494,7 +506,8 @@ async def what_is_outside_of_a_domain_is_refused(run: Repetition, at: Rig) -> No
         for value in values:
             for asked in (reading, writing):
                 if name in asked.inputs and at.accepts_input(asked.operation, name):
-                    await _refused(run, at, asked.operation, asked.inputs, name, value)
+                    nobody = (*_NOBODY, *CONNECTION_FAULTS) if value in asks.unanswered.get(name, ()) else ()
+                    await _refused(run, at, asked.operation, asked.inputs, name, value, nobody=nobody)
     await a_read_works(run, at)
     await a_write_works(run, at)
 

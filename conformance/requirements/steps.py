@@ -27,6 +27,7 @@ __all__ = [
     "a_read_works",
     "a_write_works",
     "answers_again",
+    "can_prove",
     "can_read",
     "citing",
     "exact_or_refused",
@@ -87,10 +88,16 @@ def _is_read(at: Rig, asked: Asked) -> bool:
 def some_write(run: Repetition, at: Rig) -> Asked | None:
     """Make the exercise's write; None where the subject has no operation for it, or none that proves its session first."""
     asked = exercise(at).write(run.rng)
+    provable = can_prove(run, at)
+    return asked if at.can_ask(asked.operation, asked.inputs) and provable else None
+
+
+def can_prove(run: Repetition, at: Rig) -> bool:
+    """Tell whether the subject has an operation that proves its session, without which nothing is written."""
     ways = protocols()[at.protocol].proof.ways
     # Each makes its random numbers: what was never asked has no bindings in a record.
     provable = [at.can_ask(way.operation, way.ask(run.rng).inputs) for way in ways]
-    return asked if at.can_ask(asked.operation, asked.inputs) and any(provable) else None
+    return any(provable)
 
 
 async def it_answers(run: Repetition, at: Rig, *, requirement: str | None = None) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.core.text import counted
 from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries, JournalEntry
+from pytest_otmcp.protocols.protocol import TIMES
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.expectations import failed
@@ -78,26 +80,72 @@ async def every_call_ends_in_time(run: Repetition, at: Rig) -> None:
     await answers_again(run, at)
 
 
-@TASKS.every_protocol("TMO-002", "A call to a silent device ends in time, and is repeated no more often than it says.")
-async def repetitions_are_bounded(run: Repetition, at: Rig) -> None:
-    """Read while the device is silent, and again when it is not.
+@TASKS.every_protocol(
+    "TMO-002", "A call to a silent device ends in time, and is repeated no more often than it says.", beside=TIMES
+)
+async def repetitions_are_bounded(run: Repetition, at: Rig, retimed: Rig | None = None) -> None:
+    """Read while the device is silent, and again when it is not. The same where the adapter was told other time limits and numbers of
+    repetitions, if the subject file has such a launch.
 
-    Said: a failure of the connection within the deadline, with the number of attempts; then success.
-    Seen: the same request no more often than that.
-    Why: repetitions of the adapter and of its library multiply; a device that is slow already is asked twelve times.
+    Said: a failure of the connection within the deadline, with the number of attempts; then success. With the other settings within the
+        time that the subject file says of them.
+    Seen: the same request no more often than that; with the other settings as often as the subject file says.
+    Why: repetitions of the adapter and of its library multiply; a device that is slow already is asked twelve times. A setting that has
+        no effect is found out when the plant stands still.
     """
     await a_read_works(run, at)
+    reply, same = await _read_in_silence(run, at)
+    attempts = _attempts(reply)
+    if attempts is not None and len(same) > attempts and not await polls(at, same):
+        message = f"{reply.label}: meta.attempts says {attempts}, the device saw the same request {len(same)} times"
+        run.finding("repeated", message, "TMO-002", evidence=protocols()[at.protocol].seen(same))
+    await answers_again(run, at)
+    if retimed is not None:
+        await _settings_have_their_effect(run, retimed)
+
+
+async def _read_in_silence(run: Repetition, at: Rig) -> tuple[Reply, list[JournalEntry]]:
+    """Return the reply to a read while the device is silent, and the equal requests that the device saw."""
     await at.fault(*faulty(exercise(at).reads, **silence(at)))
     asked = exercise(at).read(run.rng)
     reply = await at.call(asked.operation, **asked.inputs)
     await at.fault()
     run.fails(reply, *CONNECTION_FAULTS, requirement="TMO-002", code_requirement="ERR-005")
-    attempts = _attempts(reply)
-    same = _repeated(at, reply.during(await at.journal()))
-    if attempts is not None and len(same) > attempts and not await polls(at, same):
-        message = f"{reply.label}: meta.attempts says {attempts}, the device saw the same request {len(same)} times"
-        run.finding("repeated", message, "TMO-002", evidence=protocols()[at.protocol].seen(same))
+    return reply, _repeated(at, reply.during(await at.journal()))
+
+
+async def _settings_have_their_effect(run: Repetition, at: Rig) -> None:
+    """Read with other settings while the device is silent: the time, and the requests, are those that the subject file says of them. With
+    short time limits a call may fail because something stood still, so what works is asked for until it does; and what is wrong is
+    wrong twice."""
     await answers_again(run, at)
+    found: list[Finding] = []
+    for _ in range(2):
+        found = await _ignored_settings(run, at)
+        await answers_again(run, at)
+        if not found:
+            return
+    run.witnessed(found)
+
+
+async def _ignored_settings(run: Repetition, at: Rig) -> list[Finding]:
+    times = at.times
+    assert times is not None
+    reply, same = await _read_in_silence(run, at)
+    deadline_ms = times.deadline_s * at.time_scale * 1000
+    said = f"{reply.label}: with the settings of the launch 'retimed'"
+    found = []
+    if reply.latency_ms is not None and reply.latency_ms > deadline_ms:
+        message = f"{said} a call to a silent device should end within {deadline_ms:.0f} ms, this one took {reply.latency_ms:.0f} ms"
+        found.append(Finding(code="setting_ignored", message=message, requirement="TMO-002"))
+    if times.attempts is not None and len(same) != times.attempts and not (same and await polls(at, same)):
+        message = (
+            f"{said} the device should have seen the same request {counted(times.attempts, 'time')}, "
+            f"it saw it {counted(len(same), 'time')}"
+        )
+        evidence = protocols()[at.protocol].seen(same)
+        found.append(Finding(code="setting_ignored", message=message, requirement="TMO-002", evidence=evidence))
+    return found
 
 
 def _attempts(reply: Reply) -> int | None:
@@ -107,11 +155,19 @@ def _attempts(reply: Reply) -> int | None:
 
 def _repeated(at: Rig, entries: Entries) -> list[JournalEntry]:
     """Return the requests that read and are equal, of those that are there most often."""
-    kinds = {value for condition in exercise(at).reads for value in condition.values()}
-    reading = [entry for entry in entries if entry["request"] and kinds & {entry["kind"], entry.get("function")}]
+    conditions = exercise(at).reads
+    reading = [entry for entry in entries if entry["request"] and any(_meets(entry, one) for one in conditions)]
     describe = protocols()[at.protocol].describe
     most = Counter(map(describe, reading)).most_common(1)
     return [entry for entry in reading if most and describe(entry) == most[0][0]]
+
+
+def _meets(entry: JournalEntry, condition: Mapping[str, object]) -> bool:
+    """Tell whether a request is one that a condition of a fault plan is about; what reads changes nothing."""
+    named = {name: value for name, value in condition.items() if not isinstance(value, bool)}
+    return not entry["state_changing"] and all(
+        value in (entry["kind"], entry.get(name)) for name, value in named.items()
+    )
 
 
 # -- cancellation -------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -33,7 +34,7 @@ from .frames import (
 from .names import Confirmed, Refusal, Unconfirmed
 from .plant import DEVICE, Plant
 from .pokes import poke
-from .services import Answer, Asked, Rejected, asked_of, execute, read_answer
+from .services import Answer, Asked, FailedWriteError, Rejected, asked_of, execute, read_answer
 from .values import MalformedError, Value, encode
 
 __all__ = ["BacnetDevice"]
@@ -227,7 +228,9 @@ class _Client:
         plant = self._device.plant
         try:
             if rule is not None and rule.error is not None:
-                raise Refusal(*rule.error)
+                refusal = Refusal(*rule.error)
+                several = service == Confirmed.WRITE_PROPERTY_MULTIPLE
+                raise FailedWriteError(refusal, asked.writes[0].to) if several else refusal
             answer = execute(
                 plant,
                 service,
@@ -237,12 +240,14 @@ class _Client:
             )
         except Rejected as error:
             return _reject(reply_id, error.reason)
+        except FailedWriteError as failure:
+            return _error(reply_id, service, failure.refusal, failure.data())
         except Refusal as refusal:
             codes = b"".join(encode(Value(kind="enumerated", value=code)) for code in refusal.error)
-            said = {"pdu_type": int(PduType.ERROR), "service": service, "error": list(refusal.error)}
-            return bytes([PduType.ERROR << 4, reply_id, service]) + codes, said
+            return _error(reply_id, service, refusal, codes)
         if rule is not None and service == Confirmed.READ_PROPERTY:
             answer = _falsified(rule, asked, answer)
+        said: dict[str, Any]
         if answer.data is None:
             said = {"pdu_type": int(PduType.SIMPLE_ACK), "service": service}
             return bytes([PduType.SIMPLE_ACK << 4, reply_id, service]), said
@@ -289,6 +294,12 @@ def _of(rule: Rule | None) -> dict[str, Any]:
     return {} if rule is None else {"fault": rule.action}
 
 
+def _error(invoke_id: int, service: int, refusal: Refusal, data: bytes) -> tuple[bytes, dict[str, Any]]:
+    kind = PduType.ERROR
+    said = {"pdu_type": int(kind), "service": service, "error": list(refusal.error)}
+    return bytes([kind << 4, invoke_id, service]) + data, said
+
+
 def _reject(invoke_id: int, reason: int) -> tuple[bytes, dict[str, Any]]:
     kind = PduType.REJECT
     return bytes([kind << 4, invoke_id, reason]), {"pdu_type": int(kind), "reject": reason}
@@ -301,14 +312,14 @@ def _abort(invoke_id: int, reason: int) -> tuple[bytes, dict[str, Any]]:
 
 
 def _clamped(rule: Rule | None, asked: Asked) -> Asked:
-    if rule is None or rule.clamp is None or asked.write is None:
+    if rule is None or rule.clamp is None or not asked.writes:
         return asked
     low, high = rule.clamp
-    values = [
-        Value(kind=one.kind, value=min(max(one.value, low), high)) if one.kind == "real" else one
-        for one in asked.values
-    ]
-    return Asked(write=asked.write, values=values, priority=asked.priority)
+
+    def clamped(value: Value) -> Value:
+        return Value(kind=value.kind, value=min(max(value.value, low), high)) if value.kind == "real" else value
+
+    return Asked(writes=[replace(write, values=list(map(clamped, write.values))) for write in asked.writes])
 
 
 def _falsified(rule: Rule, asked: Asked, answer: Answer) -> Answer:

@@ -80,6 +80,7 @@ class Confirmed(IntEnum):
     READ_PROPERTY = 12
     READ_PROPERTY_MULTIPLE = 14
     WRITE_PROPERTY = 15
+    WRITE_PROPERTY_MULTIPLE = 16
 
 
 class Unconfirmed(IntEnum):

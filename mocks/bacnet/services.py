@@ -1,7 +1,7 @@
 """The services: what a request asks for, in words for the journal, and its execution on the plant.
 
-ASHRAE 135, clauses 15.5 (ReadProperty), 15.7 (ReadPropertyMultiple), 15.9 (WriteProperty), 16.9 (Who-Has), 16.10 (Who-Is); reject
-reasons of clause 18.9. Bytes and objects, no sockets.
+ASHRAE 135, clauses 15.5 (ReadProperty), 15.7 (ReadPropertyMultiple), 15.9 (WriteProperty), 15.10 (WritePropertyMultiple), 16.9
+(Who-Has), 16.10 (Who-Is); reject reasons of clause 18.9. Bytes and objects, no sockets.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ __all__ = [
     "STATE_CHANGING_UNCONFIRMED",
     "Answer",
     "Asked",
+    "FailedWriteError",
     "Rejected",
+    "Write",
     "asked_of",
     "execute",
     "i_am",
@@ -70,32 +72,60 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Write:
+    """What a request writes to a property; the priority is None where it names none."""
+
+    to: Reference
+    values: Sequence[Value]
+    priority: int | None = None
+
+    @property
+    def is_rejected(self) -> bool:
+        """There is no such priority."""
+        return self.priority is not None and not 1 <= self.priority <= PRIORITIES
+
+    def shown(self) -> dict[str, Any]:
+        """Return the write for the journal."""
+        priority = {} if self.priority is None else {"priority": self.priority}
+        return {**self.to.shown(), "values": [one.shown() for one in self.values], **priority}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Asked:
     """A request that was understood.
 
     Attributes:
         reads: what it asks for.
-        write: what it writes; None where it writes nothing.
-        values, priority: of the write; the priority is None where it names none.
+        writes: what it writes, in this order; none where it reads.
         rejected: reason why it is rejected although it could be read.
     """
 
     reads: Sequence[Reference] = ()
-    write: Reference | None = None
-    values: Sequence[Value] = ()
-    priority: int | None = None
+    writes: Sequence[Write] = ()
     rejected: int | None = None
 
     def shown(self) -> dict[str, Any]:
         """Return the members of the request's journal entry."""
-        if self.write is None:
-            return {"reads": [one.shown() for one in self.reads]}
-        priority = {} if self.priority is None else {"priority": self.priority}
-        return {"writes": [{**self.write.shown(), "values": [one.shown() for one in self.values], **priority}]}
+        if self.writes:
+            return {"writes": [one.shown() for one in self.writes]}
+        return {"reads": [one.shown() for one in self.reads]}
 
     def objects(self) -> set[tuple[int, int]]:
         """Return the identifiers of the objects that it is about."""
-        return {(one.kind, one.instance) for one in (*self.reads, *([self.write] if self.write else ()))}
+        return {(one.kind, one.instance) for one in (*self.reads, *(write.to for write in self.writes))}
+
+
+class FailedWriteError(Exception):
+    """The device refuses one of several writes: those before it are done, those behind it are not (clause 15.10.2)."""
+
+    def __init__(self, refusal: Refusal, to: Reference) -> None:
+        super().__init__(refusal, to)
+        self.refusal, self.to = refusal, to
+
+    def data(self) -> bytes:
+        """Return the data of the Error PDU: the error, and which write is the first that failed."""
+        codes = b"".join(encode(Value(kind="enumerated", value=code)) for code in self.refusal.error)
+        return enclosed(0, codes) + enclosed(1, _named(self.to))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,6 +146,7 @@ def asked_of(service: int, data: bytes) -> Asked:
         Confirmed.READ_PROPERTY: _read,
         Confirmed.READ_PROPERTY_MULTIPLE: _read_multiple,
         Confirmed.WRITE_PROPERTY: _write,
+        Confirmed.WRITE_PROPERTY_MULTIPLE: _write_multiple,
     }
     if service not in parsers:
         raise Rejected(UNRECOGNIZED_SERVICE)
@@ -151,19 +182,42 @@ def _read_multiple(tags: Tags) -> Asked:
 
 def _write(tags: Tags) -> Asked:
     kind, instance = _identifier(tags)
-    reference = _reference(tags, kind, instance, 1)
-    if not tags.is_next(3, opening=True):
+    write = _written(tags, kind, instance, 1)
+    return Asked(writes=[write], rejected=OUT_OF_RANGE if write.is_rejected else None)
+
+
+def _write_multiple(tags: Tags) -> Asked:
+    found: list[Write] = []
+    while not tags.at_end:
+        kind, instance = _identifier(tags)
+        if not tags.is_next(1, opening=True):
+            raise Rejected(MISSING_PARAMETER)
+        tags.next()
+        while tags.is_next(0):
+            found.append(_written(tags, kind, instance, 0))
+        closing = tags.next()
+        if not closing.is_closing or closing.number != 1:
+            raise Rejected(INVALID_TAG)
+    if not found:
+        raise Rejected(MISSING_PARAMETER)
+    if len(found) > _MAX_ELEMENTS:
+        return Asked(writes=found, rejected=TOO_MANY_ARGUMENTS)
+    return Asked(writes=found, rejected=OUT_OF_RANGE if any(one.is_rejected for one in found) else None)
+
+
+def _written(tags: Tags, kind: int, instance: int, first: int) -> Write:
+    """Return the write whose property has this context tag; index, values and priority follow."""
+    reference = _reference(tags, kind, instance, first)
+    if not tags.is_next(first + 2, opening=True):
         raise Rejected(MISSING_PARAMETER)
     tags.next()
     values = []
-    for tag in tags.inside(3):
+    for tag in tags.inside(first + 2):
         if tag.is_context or tag.number >= len(KINDS):
             raise Rejected(INVALID_TAG)
         values.append(value_of(KINDS[tag.number], tag.content))
-    priority = _unsigned(tags, 4) if tags.is_next(4) else None
-    is_priority = priority is None or 1 <= priority <= PRIORITIES
-    rejected = None if is_priority else OUT_OF_RANGE
-    return Asked(write=reference, values=values, priority=priority, rejected=rejected)
+    priority = _unsigned(tags, first + 3) if tags.is_next(first + 3) else None
+    return Write(to=reference, values=values, priority=priority)
 
 
 def _identifier(tags: Tags) -> tuple[int, int]:
@@ -193,17 +247,19 @@ def execute(plant: Plant, service: int, asked: Asked, *, apply: bool = True, nam
         named: instance that the answer to a ReadPropertyMultiple names for each object, instead of the one that was asked for.
 
     Raises:
-        Refusal: the error to answer with.
+        Refusal, FailedWriteError: the error to answer with.
         Rejected: the reject reason to answer with.
     """
     if asked.rejected is not None:
         raise Rejected(asked.rejected)
-    if asked.write is not None:
-        one = asked.write
-        if (one.kind, one.instance) == (ObjectType.DEVICE, DEVICE):
-            plant.content(one.kind, one.instance, one.number)
-            raise Refusal(2, 40)
-        plant.at(one.kind, one.instance).write(one.number, one.index, asked.values, asked.priority, apply=apply)
+    if asked.writes:
+        for write in asked.writes:
+            try:
+                _execute_write(plant, write, apply=apply)
+            except Refusal as refusal:
+                if service == Confirmed.WRITE_PROPERTY:
+                    raise
+                raise FailedWriteError(refusal, write.to) from None
         return Answer(data=None)
     if service == Confirmed.READ_PROPERTY:
         one = _meant_device(asked.reads[0])
@@ -212,18 +268,28 @@ def execute(plant: Plant, service: int, asked: Asked, *, apply: bool = True, nam
     return _multiple_answer(plant, list(map(_meant_device, asked.reads)), named)
 
 
+def _execute_write(plant: Plant, write: Write, *, apply: bool) -> None:
+    to = write.to
+    if (to.kind, to.instance) == (ObjectType.DEVICE, DEVICE):
+        plant.content(to.kind, to.instance, to.number)
+        raise Refusal(2, 40)
+    plant.at(to.kind, to.instance).write(to.number, to.index, write.values, write.priority, apply=apply)
+
+
 def _meant_device(one: Reference) -> Reference:
     # Clause 15.5.1.1.1: this instance of a device object stands for the device that is asked.
     return one.at(DEVICE) if (one.kind, one.instance) == (ObjectType.DEVICE, _WILDCARD) else one
 
 
+def _named(one: Reference) -> bytes:
+    data = context(0, "object-identifier", [one.kind, one.instance]) + context(1, "enumerated", one.number)
+    return data if one.index is None else data + context(2, "unsigned", one.index)
+
+
 def read_answer(one: Reference, values: Sequence[Value]) -> Answer:
     """Return the answer to a ReadProperty that found these values."""
-    data = context(0, "object-identifier", [one.kind, one.instance]) + context(1, "enumerated", one.number)
-    if one.index is not None:
-        data += context(2, "unsigned", one.index)
     shown = {**one.shown(), "values": [value.shown() for value in values]}
-    return Answer(data=data + enclosed(3, b"".join(map(encode, values))), results=[shown])
+    return Answer(data=_named(one) + enclosed(3, b"".join(map(encode, values))), results=[shown])
 
 
 def _multiple_answer(plant: Plant, reads: Sequence[Reference], named: int | None) -> Answer:

@@ -14,8 +14,9 @@ from ..core.errors import SubjectError, UsageError
 from ..core.names import describe_unknown
 from ..core.text import printable
 from ..protocols.journal import judged
+from ..protocols.protocol import LAUNCHES
 from ..protocols.registry import protocols
-from ..subject.model import Function, placeholders
+from ..subject.model import READ_WRITE, Function, placeholders
 from . import Refusal, tell
 from .doctor import named_or_here
 
@@ -52,7 +53,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--subject", metavar="FILE", type=Path, help="a subject file (default: otmcp.toml)")
     parser.add_argument("--protocol", choices=tuple(protocols()), help="whose operation (default: the one that has it)")
     parser.add_argument(
-        "--variant", choices=("rw", "ro"), default="rw", help="with writes enabled or disabled (default: rw)"
+        "--variant",
+        choices=(READ_WRITE, *LAUNCHES.values()),
+        default=READ_WRITE,
+        help="with writes enabled or disabled, or another launch of the subject file (default: rw)",
     )
     parser.add_argument(
         "operation", metavar="OPERATION", help="an operation of the protocol, such as read, or a named command"
@@ -76,6 +80,9 @@ def run(args: argparse.Namespace) -> int:
     source = named_or_here(args.subject)
     subject = reference_subject() if source is None else load_subject(source)
     adapter, operation, inputs = _asked(subject, args)
+    if args.variant not in adapter.variants:
+        known = " ".join(adapter.variants)
+        raise UsageError(f"--variant {args.variant}: [adapter.{adapter.protocol}] has no such launch, it has {known}")
     if source is None and (missing := missing_library(protocols()[adapter.protocol])):
         raise UsageError(f"{protocols()[adapter.protocol].name}: {missing}")
     loop = LoopThread()

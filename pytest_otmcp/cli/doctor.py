@@ -18,6 +18,7 @@ from .init import parse_environment, recognise_protocol
 
 if TYPE_CHECKING:
     from ..subject.model import Adapter
+    from ..trial.adapter_under_test import AdapterUnderTest
 
 __all__ = ["add_parser", "named_or_here", "run"]
 
@@ -46,6 +47,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--file", metavar="NAME=CONTENT", action="append", default=[], help="a file below {work}, as for otmcp init"
     )
+    parser.add_argument(
+        "--secret-env", metavar="NAME", action="append", default=[], help="a variable of COMMAND that takes a secret"
+    )
     parser.add_argument("--url", help="endpoint of COMMAND, when it serves streamable HTTP")
     parser.add_argument("command", metavar="COMMAND", nargs="*", help="how an adapter is started, after --")
     parser.set_defaults(run=run)
@@ -60,8 +64,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         for adapter in _adapters(args):
             tell(f"{protocols()[adapter.protocol].name}: {' '.join(adapter.variants['rw'].command)}")
-            # Variants that are started in the same way behave in the same way, so one of them is enough.
-            for variant in ("rw", "ro") if adapter.variants["ro"] != adapter.variants["rw"] else ("rw",):
+            for variant in _different(adapter):
                 healthy &= loop.run(_examine(adapter, variant))
             described &= bool(adapter.operations)
     finally:
@@ -69,6 +72,12 @@ def run(args: argparse.Namespace) -> int:
     if healthy and described:
         show(f"all is well, next: {_next(args)}")
     return 0 if healthy else 1
+
+
+def _different(adapter: Adapter) -> list[str]:
+    """Return the variants to examine: those that are started in the same way behave in the same way, so one of them is enough."""
+    known = list(adapter.variants.items())
+    return [name for index, (name, one) in enumerate(known) if one not in (other for _, other in known[:index])]
 
 
 def _next(args: argparse.Namespace) -> str:
@@ -94,6 +103,7 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
             deadline_s=15.0,
             start_timeout_s=30.0,
             files=parse_environment(args.file, "--file"),
+            secret_env=args.secret_env,
         )
         return
     source = named_or_here(args.subject)
@@ -114,6 +124,7 @@ def named_or_here(given: Path | None) -> Path | None:
 
 
 async def _examine(adapter: Adapter, variant: str) -> bool:
+    """Start one variant and say what is found; tell whether it is well."""
     from ..onboarding.known_causes import find_advice
     from ..onboarding.pack import load_pack
     from ..plant.mock_device import MockDevice
@@ -154,12 +165,12 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
             tell(
                 f"  {variant}: the device {'has seen a connection' if connected else 'has not been asked anything yet'}"
             )
-            return True
+            return _keeps_secrets(under_test, variant)
         problem = await prove_session(under_test)
         tell(
             f"  {variant}: {problem or 'a random value went between the mock device and the adapter: it talks to the mock'}"
         )
-        return problem is None
+        return _keeps_secrets(under_test, variant) and problem is None
     except SubjectError as failure:
         tell(f"  {variant}: {failure}")
         known = protocols()[adapter.protocol].onboarding is not None
@@ -173,3 +184,11 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         if under_test is not None:
             await under_test.close()
         await device.close()
+
+
+def _keeps_secrets(under_test: AdapterUnderTest, variant: str) -> bool:
+    """Say which secrets the adapter has told; tell whether it has told none."""
+    leaks = under_test.take_leaks()
+    for leak in leaks:
+        tell(f"  {variant}: {leak.place} has the value of {leak.variable}, {leak.form}")
+    return not leaks

@@ -47,6 +47,13 @@ def add_parser(subparsers: Any) -> None:
         help="a file below {work}, written before the launch; {host} and its like stand for the mock device",
     )
     parser.add_argument(
+        "--secret-env",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="a variable that takes a secret: the adapter gets a random value in it, and must not tell it; may be repeated",
+    )
+    parser.add_argument(
         "--era",
         choices=("auto", "legacy"),
         help="'legacy' for a server that must be addressed by the handshake of 2025-11-25 (default: found out)",
@@ -89,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
         start_timeout_s=max(30.0, args.deadline),
         files=files,
         era=args.era,
+        secret_env=args.secret_env,
     )
 
     async def work() -> Draft:

@@ -56,6 +56,7 @@ class Draft:
     command: Sequence[str]
     env: Mapping[str, str]
     files: Mapping[str, str]
+    secret_env: Sequence[str]
     era: str | None
     transport_url: str | None
     native: bool
@@ -104,6 +105,8 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         draft.left.append("the version of your product")
     if draft.env:
         lines.append(f"env = {_value(dict(draft.env))}")
+    if draft.secret_env:
+        lines.append(f"secret_env = {_value(list(draft.secret_env))}")
     if draft.files:
         lines.append(f"files = {_value(dict(draft.files))}")
     if draft.era is not None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 
-from ..core.errors import SubjectError
+from ..core.errors import SubjectError, UsageError
 from ..core.text import counted
 from ..plant.mock_device import MockDevice
 from ..protocols.envelope import check_result
@@ -38,8 +38,15 @@ def describe_launch(
     connect: Connect | None = None,
     files: Mapping[str, str] | None = None,
     era: str | None = None,
+    secret_env: Sequence[str] = (),
 ) -> Adapter:
-    """Describe an adapter whose launch is all that is known."""
+    """Describe an adapter whose launch is all that is known.
+
+    Raises:
+        UsageError: a variable that takes a secret has a value in ``env``.
+    """
+    if given := sorted({*secret_env} & env.keys()):
+        raise UsageError(f"--secret-env {given[0]}: --env gives it a value; a random one is given to it instead")
     variant = Variant(command=tuple(command), env=dict(env), cwd=None, files=dict(files or {}))
     return Adapter(
         protocol=protocol,
@@ -55,7 +62,7 @@ def describe_launch(
         lists={},
         probes={},
         secrets=(),
-        secret_env=(),
+        secret_env=tuple(secret_env),
         transport="stdio" if url is None else "http",
         url=url,
         era=era,
@@ -109,6 +116,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         command=adapter.variants["rw"].command,
         env=adapter.variants["rw"].env,
         files=adapter.variants["rw"].files,
+        secret_env=adapter.secret_env,
         era=adapter.era,
         transport_url=adapter.url,
         native=native,

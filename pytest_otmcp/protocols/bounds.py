@@ -1,4 +1,4 @@
-"""What an adapter was told to allow: the targets that may be written, and limits of their values. Pure.
+"""What an adapter was told: the targets that may be written, limits of their values, and limits of time. Pure.
 
 Targets have the names of the points in a device's image; a device without such an image, as a broker is, has them by the protocol's own
 names, such as topics.
@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cache
 from typing import Any
 
-__all__ = ["Bounds", "Limit"]
+__all__ = ["Bounds", "Limit", "Times"]
 
 _RANGE = re.compile(r"(\d+)\.\.(\d+)|\*")
 
@@ -60,6 +60,28 @@ class Bounds:
         """Return what a subject file or a run record states."""
         limits = {target: Limit(**limit) for target, limit in stated["limits"].items()}
         return cls(allowed=tuple(stated["allowed"]), limits=limits)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Times:
+    """What follows from the time limits and numbers of repetitions that an adapter was told, as its author states it.
+
+    Attributes:
+        deadline_s: seconds within which a call to a silent device has ended.
+        attempts: how often such a call sends a request that reads; None where the author does not say.
+    """
+
+    deadline_s: float
+    attempts: int | None = None
+
+    def as_record(self) -> dict[str, Any]:
+        """Return this as a run record has it."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+    @classmethod
+    def of_record(cls, stated: Mapping[str, Any]) -> Times:
+        """Return what a subject file or a run record states."""
+        return cls(deadline_s=float(stated["deadline_s"]), attempts=stated.get("attempts"))
 
 
 def _stated(limit: Limit) -> dict[str, float]:

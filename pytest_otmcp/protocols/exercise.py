@@ -168,6 +168,10 @@ def _no_points(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object
     return {}
 
 
+def _no_refusals(entry: JournalEntry) -> Sequence[str]:
+    return ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waiting:
     """A read by a call that waits for what it answers, for adapters that have no other one.
@@ -175,10 +179,12 @@ class Waiting:
     Attributes:
         operation: its name.
         read: makes a call that the device has to answer; the argument behind the random numbers is how many seconds it may wait.
+        device_texts: as the exercise's own, for an adapter whose calls of this operation wait; the second argument as for ``read``.
     """
 
     operation: str
     read: Callable[[random.Random, int], Asked]
+    device_texts: Callable[[str, int], tuple[DeviceText, ...]] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,6 +210,8 @@ class Exercise:
             checks of the protocol's own have it.
         outside: values that are outside of the protocol's own domain of an input of the read or the write, by input; some are the good
             value when they are cut down to fit.
+        unanswered: those of them that can be sent, such as an address that no device may have: that nothing answered is as good a failure.
+        refusals: returns the keys of ``codes.toml`` by which an answer refuses what was asked for; none of another entry.
         distinct: makes so many reads, at most 64, of several targets, each with a condition of its own; None where there are none.
         every_read: makes reads by every operation that reads values, and of every type that has a form of its own; None where there are
             none.
@@ -251,6 +259,8 @@ class Exercise:
     unauthorised: tuple[Rule, ...] = ()
     write_refused: tuple[Mapping[str, object], str] | None = None
     outside: Mapping[str, tuple[object, ...]] = field(default_factory=dict)
+    unanswered: Mapping[str, tuple[object, ...]] = field(default_factory=dict)
+    refusals: Callable[[JournalEntry], Sequence[str]] = _no_refusals
     distinct: Callable[[random.Random, int], tuple[Asked, ...]] | None = None
     every_read: Callable[[random.Random], tuple[Asked, ...]] | None = None
     every_write: Callable[[random.Random], tuple[Asked, ...]] | None = None

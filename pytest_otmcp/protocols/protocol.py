@@ -30,6 +30,7 @@ __all__ = [
     "READ",
     "READ_OR_STATUS",
     "RECOVERY",
+    "TIMES",
     "Choice",
     "Colour",
     "Composite",
@@ -50,7 +51,10 @@ CONTROL_GUARD = "control_guard"
 BOUNDS = "bounds"
 """Facet: the adapter can be launched with a list of targets that may be written, or with limits of their values (``bounded``)."""
 
-LAUNCHES: Mapping[str, str] = {GUARD: "ro", CONTROL_GUARD: "no_control", BOUNDS: "bounded"}
+TIMES = "times"
+"""Facet: the adapter can be launched with other time limits and numbers of repetitions than its usual ones (``retimed``)."""
+
+LAUNCHES: Mapping[str, str] = {GUARD: "ro", CONTROL_GUARD: "no_control", BOUNDS: "bounded", TIMES: "retimed"}
 """Facets that are launches of their own, to the variant of the adapter that has the facet."""
 
 COMMANDS = "commands"
@@ -356,7 +360,7 @@ class OtProtocol:
     @property
     def facets(self) -> tuple[str, ...]:
         """Facets that an adapter for this protocol may claim or not."""
-        names = [GUARD, RECOVERY, BOUNDS, COMMANDS]
+        names = [GUARD, RECOVERY, BOUNDS, TIMES, COMMANDS]
         names += [CONTROL_GUARD] if self.controls else []
         for name, operation in self.operations.items():
             names += [name, *(f"{name}.{optional}" for optional in operation.optional)]
@@ -367,7 +371,7 @@ class OtProtocol:
 
     def is_voluntary(self, facet: str) -> bool:
         """Tell whether only a binding, a launch or a named command claims this facet: nothing is said of a subject that has none."""
-        if facet in (BOUNDS, COMMANDS, CONTROL_GUARD):
+        if facet in (BOUNDS, COMMANDS, CONTROL_GUARD, TIMES):
             return True
         name, _, part = facet.partition(".")
         operation = self.operations.get(name)

@@ -227,6 +227,14 @@ class BoundsTold(TypedDict):
     limits: dict[str, LimitTold]
 
 
+class TimesTold(TypedDict):
+    """What follows from what the variant ``retimed`` of an adapter was told: seconds within which a call to a silent device has ended, and how
+    often it sends a request that reads."""
+
+    deadline_s: Deadline
+    attempts: NotRequired[int]
+
+
 class AdapterFacts(TypedDict):
     """One adapter under test: what its subject file says, and how its server introduced itself.
 
@@ -235,7 +243,7 @@ class AdapterFacts(TypedDict):
     ``lists``: the lists of the protocol's own keys.
     ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
     ``lacks``: optional inputs that no tool takes. ``offered``: voluntary facets that bindings and launches claim; absent where there are none.
-    ``bounds``: what it was told to allow, where the subject file says so. ``commands``: its named commands, each with the operation that it
+    ``bounds``: what it was told to allow, where the subject file says so; ``times`` likewise. ``commands``: its named commands, each with the operation that it
     performs; absent where there are none.
     ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
@@ -259,6 +267,7 @@ class AdapterFacts(TypedDict):
     lacks: list[str]
     offered: NotRequired[list[str]]
     bounds: NotRequired[BoundsTold]
+    times: NotRequired[TimesTold]
     commands: NotRequired[dict[str, str]]
     probes: dict[str, Any]
     bindings: dict[str, list[StoredBinding] | None]
@@ -327,8 +336,9 @@ class Endpoint(TypedDict):
     path: str
 
 
-VariantName = Literal["rw", "ro", "no_control", "bounded"]
-"""With writes enabled; disabled; enabled without control of the device itself; enabled within bounds."""
+VariantName = Literal["rw", "ro", "no_control", "bounded", "retimed"]
+"""With writes enabled; disabled; enabled without control of the device itself; enabled within bounds; enabled with other limits of
+time."""
 
 
 class Device(TypedDict):

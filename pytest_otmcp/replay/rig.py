@@ -5,11 +5,13 @@ Each call or observation that the steps ask for must be the next one in the hist
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
+from itertools import takewhile
 from typing import Any, cast
 
 from ..core.strict_json import same_json
-from ..protocols.bounds import Bounds
+from ..protocols.bounds import Bounds, Times
 from ..protocols.protocol import Declared
 from ..record.images import Images, restore_image
 from ..record.schema import (
@@ -142,15 +144,20 @@ class RecordedRepetition:
         asked = f"{at.name} {operation}({_listed(inputs)})"
         if not self.calls:
             raise HistoryError(f"the steps ask for {asked}, the history has no further call")
-        group = self.calls[0]["group"]
-        for index, call in enumerate(self.calls):
-            if call["group"] != group:
-                break
-            who = (call["adapter"], call["variant"], call["operation"])
-            if who == (at.protocol, at.variant, operation) and same_json(call["inputs"], inputs):
-                self._pass(call, together=together)
-                return self.calls.pop(index)
         first = self.calls[0]
+        made = takewhile(lambda one: one[1]["group"] == first["group"], enumerate(self.calls))
+        equal = [
+            (call["sent_ns"] or math.inf, index)
+            for index, call in made
+            if (call["adapter"], call["variant"], call["operation"]) == (at.protocol, at.variant, operation)
+            and same_json(call["inputs"], inputs)
+        ]
+        if equal:
+            # The history has calls in the order of their replies. The steps made equal ones in the order in which they were sent, and
+            # may judge the first of them alone.
+            call = self.calls.pop(min(equal)[1])
+            self._pass(call, together=together)
+            return call
         found = f"{first['adapter']} {first['operation']}({_listed(first['inputs'])})"
         raise HistoryError(f"the steps ask for {asked}, the history has {found}")
 
@@ -222,6 +229,11 @@ class ReplayRig(Rig):
     def bounds(self) -> Bounds:
         told = self._state.adapter.facts.get("bounds")
         return Bounds() if told is None else Bounds.of_record(told)
+
+    @property
+    def times(self) -> Times | None:
+        told = self._state.adapter.facts.get("times")
+        return None if told is None else Times.of_record(told)
 
     def probe(self, name: str) -> Any:
         return self._state.adapter.facts["probes"][name]

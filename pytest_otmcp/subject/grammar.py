@@ -82,6 +82,18 @@ _BOUNDED = Named(
         ),
     ),
 )
+_RETIMED = Named(
+    "retimed",
+    Table(
+        {
+            **_LAUNCH,
+            "deadline_s": Key(
+                SECONDS, "Time within which a call to a silent device has ended with these settings.", required=True
+            ),
+            "attempts": Key(COUNT, "How often such a call sends its request, where it is one that reads."),
+        }
+    ),
+)
 _CALL_LIMIT = Named(
     "call_limit",
     Table(
@@ -223,6 +235,10 @@ def adapter_table(protocol: OtProtocol) -> Table:
             "bounded": Key(
                 _BOUNDED,
                 "What the launch with a list of targets that may be written, or with limits, has beyond that with writes enabled.",
+            ),
+            "retimed": Key(
+                _RETIMED,
+                "What the launch with other time limits, or other numbers of repetitions, has beyond that with writes enabled.",
             ),
             **(
                 {

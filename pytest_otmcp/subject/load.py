@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 
 from .. import __version__
 from ..core.errors import UsageError
-from ..protocols.bounds import Bounds
+from ..protocols.bounds import Bounds, Times
 from ..protocols.protocol import LAUNCHES, RECOVERY
 from ..protocols.registry import protocols
 from .addressing import check_addresses
@@ -31,8 +31,9 @@ from .grammar import subject_file
 from .kinds import Refusal
 from .model import (
     BOUNDED,
-    NO_CONTROL,
+    READ_ONLY,
     READ_WRITE,
+    RETIMED,
     Adapter,
     Answering,
     Binding,
@@ -144,6 +145,7 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
         deadline_s=float(table["deadline_s"]),
         start_timeout_s=float(table["start_timeout_s"]),
         bounds=Bounds.of_record(table[BOUNDED]) if BOUNDED in table else None,
+        times=Times.of_record(table[RETIMED]) if RETIMED in table else None,
     )
 
 
@@ -198,7 +200,7 @@ def _launches(table: Mapping[str, Any]) -> list[str]:
 
 def _variant(adapter: Mapping[str, Any], name: str, adapter_key: str, directory: Path, *, run: bool) -> Variant:
     table, key = adapter[name], f"{adapter_key}.{name}"
-    if name in (NO_CONTROL, BOUNDED):
+    if name not in (READ_WRITE, READ_ONLY):
         enabled = adapter[READ_WRITE]
         table = {
             "command": table.get("command", enabled.get("command", adapter.get("command", ()))),

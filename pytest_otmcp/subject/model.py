@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from ..protocols.bounds import Bounds
-from ..protocols.protocol import BOUNDS, COMMANDS, CONTROL_GUARD, GUARD, LAUNCHES, RECOVERY
+from ..protocols.bounds import Bounds, Times
+from ..protocols.protocol import BOUNDS, COMMANDS, CONTROL_GUARD, GUARD, LAUNCHES, RECOVERY, TIMES
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts, BoundsTold
+from ..record.schema import AdapterFacts, BoundsTold, TimesTold
 from .command import Command
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "NO_CONTROL",
     "READ_ONLY",
     "READ_WRITE",
+    "RETIMED",
     "Adapter",
     "Answering",
     "Binding",
@@ -44,8 +45,9 @@ READ_WRITE = "rw"
 READ_ONLY = LAUNCHES[GUARD]
 NO_CONTROL = LAUNCHES[CONTROL_GUARD]
 BOUNDED = LAUNCHES[BOUNDS]
-"""The variants of an adapter: with writes enabled; with writes disabled; with writes enabled, without control of the device itself; and with
-writes enabled within bounds. A subject need not have the last two."""
+RETIMED = LAUNCHES[TIMES]
+"""The variants of an adapter: with writes enabled; with writes disabled; with writes enabled, without control of the device itself; with
+writes enabled within bounds; and with other limits of time. A subject need not have the last three."""
 
 _PLACEHOLDER = re.compile(r"\{(?:env:(?P<env>\w+)|(?P<name>\w+)(?::(?P<int>int))?)\}")
 
@@ -380,8 +382,10 @@ class Adapter:
     Attributes:
         protocol: its key.
         directory: of the subject file.
-        variants: ``rw`` (writes enabled) and ``ro`` (writes disabled), and those of ``no_control`` and ``bounded`` that the file has.
+        variants: ``rw`` (writes enabled) and ``ro`` (writes disabled), and those of ``no_control``, ``bounded`` and
+            ``retimed`` that the file has.
         bounds: what the variant ``bounded`` was told; None where there is none.
+        times: what follows from what the variant ``retimed`` was told; None where there is none.
         operations: abstract operation name to the bindings that perform it, in the order in which they are tried, or to a
             function.
         answering: how answers are read where a binding does not say otherwise.
@@ -421,6 +425,7 @@ class Adapter:
     deadline_s: float
     start_timeout_s: float
     bounds: Bounds | None = None
+    times: Times | None = None
 
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""
@@ -542,6 +547,8 @@ class Adapter:
             facts["commands"] = self.commands
         if self.bounds is not None:
             facts["bounds"] = cast(BoundsTold, self.bounds.as_record())
+        if self.times is not None:
+            facts["times"] = cast(TimesTold, self.times.as_record())
         return facts
 
     def missing_inputs(self) -> set[str]:

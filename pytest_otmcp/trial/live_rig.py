@@ -13,7 +13,7 @@ from ..core.errors import KitError
 from ..core.finding import Finding
 from ..plant.device import Journal
 from ..plant.endpoint import check_free
-from ..protocols.bounds import Bounds
+from ..protocols.bounds import Bounds, Times
 from ..protocols.journal import ADAPTER
 from ..protocols.protocol import Declared
 from ..record.images import Images, keep_image
@@ -137,6 +137,10 @@ class LiveRig(Rig):
     @property
     def bounds(self) -> Bounds:
         return self.under_test.adapter.bounds or Bounds()
+
+    @property
+    def times(self) -> Times | None:
+        return self.under_test.adapter.times
 
     def probe(self, name: str) -> Any:
         return self.under_test.adapter.probes[name]

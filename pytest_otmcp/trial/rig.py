@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
 from ..core.verdict import INEXPRESSIBLE
-from ..protocols.bounds import Bounds
+from ..protocols.bounds import Bounds, Times
 from ..protocols.journal import ADAPTER, judged
 from ..protocols.protocol import Declared
 from ..protocols.registry import protocols
@@ -105,6 +105,11 @@ class Rig(WriteGate):
     @abstractmethod
     def bounds(self) -> Bounds:
         """The targets and limits that the variant ``bounded`` was told, as the subject declares."""
+
+    @property
+    @abstractmethod
+    def times(self) -> Times | None:
+        """What follows from what the variant ``retimed`` was told, as the subject declares; None where it has no such variant."""
 
     @abstractmethod
     def probe(self, name: str) -> Any:

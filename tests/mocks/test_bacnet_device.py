@@ -86,7 +86,21 @@ VECTORS = {
     "boolean instead of enumerated": ("0005010f 0c01000001 1955 3e 11 3f", "50010f 9102 9109"),
     "enumerated instead of unsigned": ("0005010f 0c04c00001 1955 3e 9102 3f", "50010f 9102 9109"),
     "a state that there is not": ("0005010f 0c04c00001 1955 3e 2104 3f", "50010f 9102 9125"),
-    "a service that it does not have": ("00050110 0c00400001", "600109"),
+    "write two properties": (
+        "00050110 0c00400001 1e 0955 2e 4441cc0000 2f 3908 1f 0c00800009 1e 0955 2e 4440600000 2f 1f",
+        "200110",
+    ),
+    "the second of two writes fails": (
+        "00050110 0c00400001 1e 0955 2e 4441cc0000 2f 3908 1f 0c00000001 1e 0955 2e 443f800000 2f 1f",
+        "500110 0e 9102 9128 0f 1e 0c00000001 1955 1f",
+    ),
+    "priority 17 of the second of two writes": (
+        "00050110 0c00400001 1e 0955 2e 4441cc0000 2f 0955 2e 4441cc0000 2f 3911 1f",
+        "600106",
+    ),
+    "writes without a value": ("00050110 0c00400001 1e 0955 1f", "600105"),
+    "no writes": ("00050110 0c00400001 1e 1f", "600105"),
+    "a service that it does not have": ("00050105 0c00400001", "600109"),
     "no property": ("0005010c 0c00400001", "600105"),
     "no value": ("0005010f 0c00400001 1955", "600105"),
     "a length that is wrong": ("0005010c 0b000001 1955", "600104"),
@@ -372,7 +386,9 @@ async def test_bytes_that_mean_nothing_are_survived_and_change_nothing(device: M
     rng = random.Random(20261122)
     start = await device.control.points()
     seeds = [
-        bytes.fromhex("810a" + "0000" + "0104" + request) for request, _ in VECTORS.values() if "0f 0c" not in request
+        bytes.fromhex("810a" + "0000" + "0104" + request)
+        for request, _ in VECTORS.values()
+        if request[6:8] not in ("0f", "10")
     ]
     for number in range(600):
         data = bytearray(rng.choice(seeds))

@@ -361,3 +361,54 @@ def test_the_doctor_without_a_file_examines_the_adapters_that_every_run_has(
     ]
     assert "no subject file otmcp.toml here: these are the reference adapters" in shown.err
     assert shown.out.endswith("all is well, next: otmcp init -- COMMAND, with an adapter of yours\n")
+
+
+TELLING = """
+[subject]
+name = "x"
+version = "1"
+[adapter.modbus]
+command = [{shell}]
+env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}" }}
+secret_env = ["PLC_TOKEN"]
+bounded = {{ env = {{ TELLS = "1" }}, allowed = ["1/holding_registers/1"] }}
+[adapter.modbus.bind.read_holding]
+tool = "read_multiple_holding_registers"
+arguments = {{ address = "$address", count = "$count" }}
+result.values = "data.values"
+"""
+SHELL = f'test -z "$TELLS" || echo "token is $PLC_TOKEN" >&2; exec {sys.executable} -m pytest_otmcp.reference_adapters modbus'
+
+
+def test_the_doctor_looks_at_every_launch_and_says_which_secret_it_tells(otmcp: Otmcp, tmp_path: Path) -> None:
+    shell = ", ".join(map(json.dumps, ("sh", "-c", SHELL)))
+    (tmp_path / "otmcp.toml").write_text(TELLING.format(shell=shell), encoding="utf-8")
+    done = otmcp("doctor")
+    assert done.returncode == 1, done.stdout + done.stderr
+    told = [line for line in done.stdout.splitlines() if "the value of PLC_TOKEN" in line]
+    assert [line.strip().partition(" has ")[0] for line in told] == ["bounded: standard error"]
+    assert "  rw: a random value went between the mock device and the adapter" in done.stdout
+    assert "all is well" not in done.stdout
+
+
+def test_a_call_can_be_made_with_every_launch_of_the_file(otmcp: Otmcp, tmp_path: Path) -> None:
+    shell = ", ".join(map(json.dumps, ("sh", "-c", SHELL)))
+    (tmp_path / "otmcp.toml").write_text(TELLING.format(shell=shell), encoding="utf-8")
+    done = otmcp("call", "--variant", "bounded", "read_holding", "address=1", "count=1")
+    assert done.returncode == 0, done.stdout + done.stderr
+    done = otmcp("call", "--variant", "retimed", "read_holding", "address=1", "count=1")
+    assert done.returncode == 2
+    assert "[adapter.modbus] has no such launch, it has rw ro bounded" in done.stderr
+
+
+def test_a_variable_that_takes_a_secret_is_proposed_and_has_a_random_value(otmcp: Otmcp, tmp_path: Path) -> None:
+    needs = f"test ${{#PLC_TOKEN}} = 32 && exec {sys.executable} -m pytest_otmcp.reference_adapters modbus"
+    launch = ("--env", "MODBUS_HOST={host}", "--env", "MODBUS_PORT={port}", "--secret-env", "PLC_TOKEN")
+    done = otmcp("init", *launch, "--", "sh", "-c", needs)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert load_subject(tmp_path / "otmcp.toml").adapters["modbus"].secret_env == ("PLC_TOKEN",)
+    done = otmcp("doctor", *launch, "--", "sh", "-c", needs)
+    assert done.returncode == 0, done.stdout + done.stderr
+    done = otmcp("doctor", *launch, "--env", "PLC_TOKEN=x", "--", "sh", "-c", needs)
+    assert done.returncode == 2
+    assert "--secret-env PLC_TOKEN" in done.stderr

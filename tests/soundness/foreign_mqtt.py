@@ -308,6 +308,14 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
         await asyncio.to_thread(link.open)
         return link
 
+    said: list[str] = []
+
+    def told(message: dict[str, str]) -> Result:
+        said.append(f"{message['topic']}: {message['payload']}")
+        if lie == "by-hand":
+            return prose(f'{{"topic": "{message["topic"]}", "payload": "{message["payload"]}"}}')
+        return prose(json.dumps(message, ensure_ascii=lie != "raw-text"))
+
     async def receive_message(topic: str, timeout: float) -> Result:
         link: Link | None = None
         try:
@@ -316,7 +324,8 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
             if granted >= REFUSED and lie == "never-refused":
                 return json_text({"topic": topic, "payload": ""})
             if granted >= REFUSED:
-                return prose(f"Error: the broker refuses the filter {topic!r}", is_error=True)
+                words = f", after {said[-1]!r}" if lie == "last-words" and said else ""
+                return prose(f"Error: the broker refuses the filter {topic!r}{words}", is_error=True)
             message = await asyncio.to_thread(link.next, timeout)
         except Failure as failure:
             return prose(f"Error: {failure}", is_error=True)
@@ -325,7 +334,7 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
                 await asyncio.to_thread(link.close)
         if message is None:
             return prose(f"Error: no message on {topic!r} within {timeout} s", is_error=True)
-        return json_text(message)
+        return told(message)
 
     async def publish_message(topic: str, message: str, qos: int) -> Result:
         if not isinstance(topic, str) or not topic or NO_NAME.intersection(topic) or len(topic.encode()) > LONGEST:

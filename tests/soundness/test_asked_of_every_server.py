@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from .conftest import DEFECT, Judge, failing, foreign_subject, passing, requirem
 
 WAITING = """
     MCP-001 MCP-002 MCP-003 MCP-005 MCP-006 MCP-007 MCP-008 MCP-009 MCP-010 ERR-001 ERR-005 ERR-007 RD-004 WR-003 WR-010 TMO-001 TMO-002
-    TMO-003 TMO-004 REC-001 REC-002 REC-003 REC-005 KEY-001
+    TMO-003 TMO-004 REC-001 REC-002 REC-003 REC-005 KEY-001 INJ-001 INJ-002 INJ-003
 """.split()
 """Rows that are asked of an MQTT adapter which publishes, and receives by a call that waits alone."""
 
@@ -85,6 +86,9 @@ LIES = {
     "needs-the-broker": ("MCP-002", "MCP-002"),
     "never-refused": ("ERR-001 MCP-010", "ERR-001"),
     "publishes-into-the-void": ("REC-002 WR-010", "MQT-001"),
+    "last-words": ("INJ-001", "INJ-001"),
+    "raw-text": ("INJ-002", "INJ-002"),
+    "by-hand": ("INJ-003", "INJ-003"),
 }
 
 
@@ -120,3 +124,65 @@ def test_failures_without_words_are_warned_of(judge_foreign: Judge) -> None:
     assert failing(results) == set(), words(results)
     assert "its text is 'Error executing tool receive_message: '" in words(results)
     assert "ENV-006" in {one["requirement"] for one in warned(results.values())}
+
+
+def only(*names: str) -> Callable[[Adapter], Adapter]:
+    """Return the description of an adapter that has these operations alone."""
+
+    def described(adapter: Adapter) -> Adapter:
+        operations = {name: adapter.operations[name] for name in names}
+        facets = protocols()[adapter.protocol].facets
+        unclaimed = {
+            name: "has no tool for it" for name in facets if name.partition(".")[0] not in (*names, "recovery")
+        }
+        return replace(adapter, operations=operations, unclaimed=unclaimed)
+
+    return described
+
+
+HOSTILE = ("INJ-001", "INJ-002", "INJ-003")
+PARTS = [
+    ("opcua", "browse"),
+    ("opcua", "read_many"),
+    ("bacnet", "list_objects"),
+    ("ethernetip", "list_tags"),
+    ("modbus", "read_device_information"),
+]
+
+
+BENT_TEXTS = [
+    ("MU-54m", "modbus", "read_device_information", "INJ-001"),
+    ("MU-108", "opcua", "browse", "INJ-002"),
+    ("MU-108e", "ethernetip", "list_tags", "INJ-002"),
+]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("protocol", "name"), PARTS)
+def test_texts_are_looked_for_where_an_adapter_has_only_a_part_of_the_reads(
+    judge: Judge, protocol: str, name: str
+) -> None:
+    rows = [f"{row}.{protocol}" for row in HOSTILE]
+    command = (sys.executable, "-P", "-m", "pytest_otmcp.reference_adapters", protocol)
+    results = judge(protocol, command=command, tasks=" ".join(rows), described=only(name))
+    assert passing(results) == set(rows), words(results)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "protocol", "operation", "row"), BENT_TEXTS)
+def test_a_text_that_is_bent_by_the_only_read_is_found(
+    judge: Judge, name: str, protocol: str, operation: str, row: str
+) -> None:
+    results = judge(protocol, *DEFECT, name, tasks=f"{row}.{protocol}", described=only(operation))
+    assert failing(results) == {f"{row}.{protocol}"}, words(results)
+
+
+@pytest.mark.parametrize("row", ["ENC-003", "ENC-004", "ENC-005"])
+def test_numbers_that_no_operation_reads_are_not_asked_for(judge: Judge, row: str) -> None:
+    command = (sys.executable, "-P", "-m", "pytest_otmcp.reference_adapters", "profibus")
+    results = judge("profibus", command=command, tasks=f"{row}.profibus", described=only("read_inputs"))
+    (result,) = results.values()
+    assert (result["status"], result["reason"]) == (
+        "NOT_APPLICABLE",
+        "the adapter has no operation that reads such a number",
+    )

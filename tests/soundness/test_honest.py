@@ -51,6 +51,14 @@ NEIGHBOURS = [
     ("mqtt/says-which-settings-it-has", "KEY-001.mqtt"),
     ("mqtt/helper-with-the-password", "KEY-001.mqtt"),
     ("opcua/reads-before-browsing", "OUA-006.opcua"),
+    ("modbus/asks-three-times", "TMO-001.modbus TMO-002.modbus"),
+    ("s7/reads-again-after-silence", "TMO-002.s7"),
+    (
+        "bacnet/writes-by-multiple",
+        "B3 FB2 SB4 ADR-003.bacnet CON-004.bacnet TMO-003.bacnet TMO-004.bacnet WR-001.bacnet WR-002.bacnet WR-003.bacnet",
+    ),
+    ("bacnet/reads-all-properties", "TMO-002.bacnet"),
+    ("profibus/asks-for-any-station", "ADR-002.profibus"),
     ("opcua/looks-before-writing", "O3 WR-001.opcua WR-002.opcua"),
 ]
 """Honest adapters, each with the check that it is made for."""

@@ -8,7 +8,7 @@ import pytest
 
 from pytest_otmcp.core.errors import UsageError
 from pytest_otmcp.core.verdict import Status
-from pytest_otmcp.protocols.bounds import Bounds, Limit
+from pytest_otmcp.protocols.bounds import Bounds, Limit, Times
 from pytest_otmcp.subject.load import load_subject
 from pytest_otmcp.suite.catalogue import all_tasks
 from pytest_otmcp.trial.applicability import applicability, participants
@@ -89,3 +89,25 @@ def test_a_file_without_these_launches_is_not_asked_for_them(tmp_path: Path) -> 
 def test_a_launch_without_control_takes_part_in_the_check_of_the_write_switch(tmp_path: Path) -> None:
     adapters = load_subject(written(tmp_path, 'no_control = { env = { CONTROL = "off" } }\n')).adapters
     assert participants(all_tasks()["WR-004.s7"], adapters) == ["s7", "s7@ro", "s7@no_control"]
+
+
+def test_a_launch_with_other_limits_of_time_says_what_follows_from_them(tmp_path: Path) -> None:
+    more = 'retimed = { env = { TIMEOUT = "0.1" }, deadline_s = 2, attempts = 3 }\n'
+    adapters = load_subject(written(tmp_path, more)).adapters
+    env = adapters["s7"].variants["retimed"].env
+    assert (env["BASE"], env["WRITES"], env["TIMEOUT"]) == ("1", "on", "0.1")
+    times = adapters["s7"].times
+    assert times == Times(deadline_s=2.0, attempts=3)
+    assert times is not None
+    assert Times.of_record(times.as_record()) == times
+    assert participants(all_tasks()["TMO-002.s7"], adapters) == ["s7", "s7@retimed"]
+
+
+def test_a_launch_with_other_limits_of_time_needs_a_deadline(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="deadline_s"):
+        load_subject(written(tmp_path, 'retimed = { env = { TIMEOUT = "0.1" } }\n'))
+
+
+def test_a_file_without_other_limits_of_time_is_asked_with_the_usual_ones_alone(tmp_path: Path) -> None:
+    adapters = load_subject(written(tmp_path, "")).adapters
+    assert participants(all_tasks()["TMO-002.s7"], adapters) == ["s7"]

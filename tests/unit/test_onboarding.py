@@ -559,6 +559,7 @@ def drafted(**known: Any) -> Draft:
         "server_version": "1",
         "command": ["x"],
         "env": {},
+        "secret_env": (),
         "files": {},
         "era": None,
         "transport_url": None,

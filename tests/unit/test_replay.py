@@ -9,7 +9,8 @@ import random
 import struct
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -18,9 +19,10 @@ from pytest_otmcp.protocols.modbus.entries import points
 from pytest_otmcp.protocols.modbus.proof import PROOF
 from pytest_otmcp.record.images import Images, keep_image, restore_image
 from pytest_otmcp.record.reader import StoredRun
-from pytest_otmcp.record.schema import Run, check
+from pytest_otmcp.record.schema import Call, Run, check
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.replay.reply import recorded_reply, restored_bindings
+from pytest_otmcp.replay.rig import Clock, RecordedRepetition, ReplayItemState
 from pytest_otmcp.subject import reference_subject
 from pytest_otmcp.subject.model import Answering, Binding, OutputRule
 from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id
@@ -827,3 +829,16 @@ def test_an_output_that_is_called_like_an_input_is_read_again_by_that_input() ->
     }
     reply = recorded_reply(recorded, cases=[case], endpoint={}, deadline_s=5.0)
     assert reply.outputs == {"value": 7.5}
+
+
+def test_of_equal_calls_at_the_same_time_the_one_that_was_sent_first_is_the_first_of_the_steps() -> None:
+    inputs = {"address": 1, "count": 1}
+    # In the order of their replies.
+    calls = [
+        {**call("read_holding", READ, inputs, {"values": [value]}, group=1), "sent_ns": BEGIN_NS + value}
+        for value in (3, 1, 2)
+    ]
+    history = RecordedRepetition(cast("list[Call]", calls), [], Clock(BEGIN_NS))
+    at = SimpleNamespace(name="modbus", protocol="modbus", variant="rw")
+    asked = [history.call(cast("ReplayItemState", at), "read_holding", inputs, together=True) for _ in calls]
+    assert [one["outputs"]["values"] for one in asked] == [[1], [2], [3]]

@@ -6,7 +6,7 @@ they can be read, also those that the device refuses.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +17,7 @@ from .tags import NotTagged, Reader
 
 __all__ = ["ANSWERS", "CHANGING", "CHANGING_UNCONFIRMED", "BacnetConversation", "contradiction"]
 
-READ, READ_MULTIPLE, WRITE = 12, 14, 15
+READ, READ_MULTIPLE, WRITE, WRITE_MULTIPLE = 12, 14, 15, 16
 I_AM, I_HAVE, WHO_HAS, WHO_IS = 0, 1, 7, 8
 CHANGING = frozenset({0, 7, 8, 9, 10, 11, 15, 16, 17, 20, 27})
 """Confirmed services that may change the device. Reads and subscriptions, which only a client's own list of notifications has, may not."""
@@ -211,31 +211,42 @@ def _asked(service: int, data: bytes) -> dict[str, Any]:
         if service == READ:
             return {"reads": [_reference(reader, reader.identifier(0), 1)]}
         if service == READ_MULTIPLE:
-            return {"reads": _asked_multiple(reader)}
+            return {"reads": _several(reader, _reference)}
         if service == WRITE:
-            written = _reference(reader, reader.identifier(0), 1)
-            written["values"] = reader.values(3)
-            if reader.sees("context", 4):
-                written["priority"] = reader.unsigned(4)
-            return {"writes": [written]}
+            return {"writes": [_written(reader, reader.identifier(0), 1)]}
+        if service == WRITE_MULTIPLE:
+            return {"writes": _several(reader, _written)}
     except NotTagged:
         pass
     return {}
 
 
-def _asked_multiple(reader: Reader) -> list[dict[str, Any]]:
+def _written(reader: Reader, target: list[int], first: int) -> dict[str, Any]:
+    written = _reference(reader, target, first)
+    written["values"] = reader.values(first + 2)
+    if reader.sees("context", first + 3):
+        written["priority"] = reader.unsigned(first + 3)
+    return written
+
+
+def _several(reader: Reader, one: Callable[[Reader, list[int], int], dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return what a request asks for at the properties of several objects."""
     found = []
     while not reader.done:
         target = reader.identifier(0)
         reader.passes("open", 1)
         while reader.sees("context", 0):
-            found.append(_reference(reader, target, 0))
+            found.append(one(reader, target, 0))
         reader.passes("close", 1)
+    if not found:
+        raise NotTagged
     return found
 
 
 def _answered(kind: int, service: int, data: bytes, *, is_part: bool) -> dict[str, Any]:
     reader = Reader(data)
+    if kind == _ERROR and service == WRITE_MULTIPLE:
+        return {"error": [one["value"] for one in reader.values(0)]}
     if kind == _ERROR:
         return {"error": [reader.value()["value"], reader.value()["value"]]}
     if kind != _COMPLEX_ACK or is_part:

@@ -239,6 +239,13 @@ def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object
     return {f"{target}/present-value": inputs["value"], **at_priority}
 
 
+def _refusals(entry: JournalEntry) -> list[str]:
+    told = as_bacnet(entry)
+    errors = [part["error"] for part in (told, *told.get("results", [])) if "error" in part]
+    reasons = [f"{kind}-{told[kind]}" for kind in ("reject", "abort") if kind in told]
+    return [*(f"{error[0]},{error[1]}" for error in errors), *reasons]
+
+
 EXERCISE = Exercise(
     points_of=_points_of,
     reading="read",
@@ -250,7 +257,8 @@ EXERCISE = Exercise(
     bounded=("device", "instance", "priority"),
     done=_done,
     reads=({"service": 12}, {"service": 14}),
-    writes=({"service": 15},),
+    writes=({"service": 15}, {"service": 16}),
+    refusals=_refusals,
     silent=({"action": {"drop": True}},),
     # Datagrams have no connection that could be reset: what comes nearest is an answer that is lost.
     reset=({"action": {"drop": True}},),

@@ -20,7 +20,7 @@ from ..exercise import (
     number_in_json,
 )
 from ..journal import Entries, JournalEntry
-from .entries import DIRECT_OPERATE, OPERATE, as_dnp3, changes, commands
+from .entries import DIRECT_OPERATE, OPERATE, as_dnp3, changes, commands, objects
 from .oracle import LATCH_OFF, LATCH_ON
 
 __all__ = ["EXERCISE"]
@@ -276,6 +276,15 @@ def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object
     return {f"binary_output/{inputs['index']}": inputs["value"]} if latches else {}
 
 
+def _refusals(entry: JournalEntry) -> list[str]:
+    second = as_dnp3(entry).get("iin", 0) >> 8
+    statuses = [point.get("status") for header in objects(entry) for point in header.get("points", [])]
+    return [
+        *(f"iin2-{bit}" for bit in range(8) if second >> bit & 1),
+        *(f"status-{status}" for status in statuses if status and entry["kind"] == "response"),
+    ]
+
+
 EXERCISE = Exercise(
     points_of=_points_of,
     reading="read_analog",
@@ -288,6 +297,7 @@ EXERCISE = Exercise(
     reads=({"function": 1},),
     # A selection moves nothing: what has its effect is the operation.
     writes=({"function": OPERATE}, {"function": DIRECT_OPERATE}),
+    refusals=_refusals,
     silent=({"action": {"drop": True}},),
     reset=({"action": {"reset": True}},),
     refused=({"action": {"iin": 0x0100}},),

@@ -286,6 +286,16 @@ def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object
     return {item["tag_name"]: item["value"] for item in items}
 
 
+def _refusals(entry: JournalEntry) -> list[str]:
+    told = as_ethernetip(entry)
+    found = []
+    for part in (told, *told.get("items", [])):
+        status, extended = part.get("status"), part.get("extended")
+        if status is not None:
+            found += [f"{status:02X}", *([] if extended is None else [f"{status:02X}/{extended:04X}"])]
+    return found
+
+
 EXERCISE = Exercise(
     points_of=_points_of,
     reading="read_tag",
@@ -297,6 +307,7 @@ EXERCISE = Exercise(
     done=every_change,
     reads=({"service": "read"},),
     writes=({"service": "write"},),
+    refusals=_refusals,
     silent=({"action": {"drop": True}},),
     reset=({"action": {"reset": True}},),
     refused=({"action": {"status": 0x0F}},),

@@ -9,7 +9,8 @@ from functools import partial
 from typing import Any
 
 from ..exercise import Asked, Clamped, DeviceText, Exercise, Limited, every_change
-from .entries import points
+from ..journal import JournalEntry
+from .entries import as_modbus, points
 from .tags import TAGS
 
 __all__ = ["EXERCISE"]
@@ -159,6 +160,10 @@ def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object
     return points(table, inputs["address"], values, unit=inputs.get("unit", 1))
 
 
+def _refusals(entry: JournalEntry) -> list[str]:
+    return [str(as_modbus(entry).get("exception"))] if entry["kind"] == "response" else []
+
+
 EXERCISE = Exercise(
     reading="read_holding",
     read=_read,
@@ -169,6 +174,7 @@ EXERCISE = Exercise(
     done=every_change,
     reads=({"function": 3},),
     writes=({"function": 6}, {"function": 16}),
+    refusals=_refusals,
     silent=({"action": {"drop": True}},),
     reset=({"action": {"reset": True}},),
     refused=({"action": {"exception": 4}},),

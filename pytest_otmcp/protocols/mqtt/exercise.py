@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import random
+import zlib
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -144,6 +145,24 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
     )
 
 
+def _texts_waited_for(name: str, seconds: int) -> tuple[DeviceText, ...]:
+    def received(text: str, end: str, payload: str) -> Asked:
+        # The broker sends a message whenever its filter is granted, so each text has a filter of its own.
+        below = f"otmcp/{name}/{zlib.crc32(text.encode()):08x}{len(end):x}"
+        message = {"topic": f"{below}/{end}", "payload": base64.b64encode(payload.encode()).decode()}
+        return Asked(
+            operation="messages",
+            inputs={"filter": f"{below}/#", "seconds": seconds},
+            pokes=({"answering": message},),
+        )
+
+    return (
+        DeviceText(place="a payload", ask=lambda text: received(text, "text", text), longest=10_000),
+        # MQTT 3.1.1, section 1.5.3: a receiver may close the connection for control characters.
+        DeviceText(place="a topic", ask=lambda text: received(text, text, "x"), longest=10_000, controls=False),
+    )
+
+
 def _publication(topic: str, payload: str) -> Asked:
     return Asked(operation="publish", inputs={"topic": topic, "payload": payload, "qos": 1}, points={topic: payload})
 
@@ -155,7 +174,7 @@ def _number(topic: str, value: float) -> Asked:
 EXERCISE = Exercise(
     reading="subscribe",
     read=_read,
-    waiting=Waiting(operation="messages", read=_collect),
+    waiting=Waiting(operation="messages", read=_collect, device_texts=_texts_waited_for),
     writing="publish",
     write=_write,
     number=None,

@@ -181,6 +181,10 @@ def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object
     return points(inputs["slave"], "output", bytes(inputs["data"])) if operation == "write_outputs" else {}
 
 
+def _refusals(entry: JournalEntry) -> list[str]:
+    return [str(as_profibus(entry).get("status"))] if entry["kind"] == "response" else []
+
+
 EXERCISE = Exercise(
     points_of=_points_of,
     reading="read_inputs",
@@ -192,6 +196,8 @@ EXERCISE = Exercise(
     done=_done,
     reads=(_INPUTS, {"service": "data_exchange", "changes": False}),
     writes=(_NEW_OUTPUTS,),
+    refusals=_refusals,
+    unanswered={"slave": (126, 127)},
     silent=({"action": {"drop": True}},),
     # A line has no connection that could be reset: what comes nearest is that the answer to the outputs, or the inputs, are lost. A write
     # asks for more than that, and what is lost before the outputs are sent leaves them unsent.

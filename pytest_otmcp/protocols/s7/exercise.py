@@ -288,6 +288,13 @@ def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object
     return points(f"DB{inputs.get('db')}", inputs["start"], content) if content else {}
 
 
+def _refusals(entry: JournalEntry) -> list[str]:
+    told = as_s7(entry)
+    return [
+        str(code) for code in (told.get("error"), told.get("code"), *(one.get("code") for one in told.get("items", [])))
+    ]
+
+
 EXERCISE = Exercise(
     points_of=_points_of,
     reading="read_typed",
@@ -299,6 +306,7 @@ EXERCISE = Exercise(
     done=every_change,
     reads=({"service": "read"},),
     writes=({"service": "write"},),
+    refusals=_refusals,
     silent=({"action": {"drop": True}},),
     reset=({"action": {"reset": True}},),
     refused=({"action": {"error": 0x8104}},),

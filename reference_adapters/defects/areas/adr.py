@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import asyncio
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from decimal import Decimal
 from typing import Any
 
+from mcp import MCPError
+from mcp.types import PARSE_ERROR
 from pydantic import field_validator
 
 from ...core import AdapterError, AdapterServer, Call
@@ -203,6 +206,41 @@ def unknown_namespaces_are(index: int) -> Callable[[AdapterServer], None]:
 def any_size(server: AdapterServer) -> None:
     mqtt_tools.MAX_PAYLOAD_BYTES = 2**28
     wrap(server, "publish_message", lambda genuine: genuine, model=LargePublish)
+
+
+_LEVELS_READ = 150
+
+
+def _is_deeper(arguments: Any) -> bool:
+    """Tell whether arguments are nested deeper than a parser with a limit reads; without recursion, as they are deep."""
+    level, levels = [arguments], 0
+    while level and levels <= _LEVELS_READ:
+        inner = [part for one in level for part in (one.values() if isinstance(one, dict) else one)]
+        level, levels = [part for part in inner if isinstance(part, dict | list)], levels + 1
+    return bool(level)
+
+
+def reads_no_deeper(answer: Callable[[], Awaitable[Data]]) -> Callable[[AdapterServer], None]:
+    """Return the defect that a message that is nested more than 150 deep is given up, and answered in this way."""
+
+    def bend(server: AdapterServer) -> None:
+        genuine = server._answer
+
+        async def answered(tool: Any, arguments: Any) -> Data:
+            return await (answer() if _is_deeper(arguments) else genuine(tool, arguments))
+
+        server._answer = answered
+
+    return bend
+
+
+async def _never() -> Data:
+    await asyncio.Event().wait()
+    raise AssertionError
+
+
+async def _parse_error() -> Data:
+    raise MCPError(PARSE_ERROR, "the message is nested too deeply")
 
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -411,6 +449,25 @@ MUTANTS: tuple[Mutant, ...] = (
         sentence="Ten megabytes are handed to the broker.",
         bend=any_size,
         items="ADR-009.mqtt",
+        requirements="ADR-009",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-122n",
+        protocol="modbus",
+        sentence="A call whose arguments are nested 150 deep is never answered.",
+        bend=reads_no_deeper(_never),
+        items="",
+        requirements="ADR-009",
+        areas="adr",
+        waits=True,
+    ),
+    Mutant(
+        id="MU-122p",
+        protocol="mqtt",
+        sentence="Arguments that are nested 150 deep are told as a message that cannot be parsed.",
+        bend=reads_no_deeper(_parse_error),
+        items="",
         requirements="ADR-009",
         areas="adr",
     ),

@@ -22,6 +22,16 @@ def null_characters_taken(server: AdapterServer) -> None:
     mqtt_tools.check_name = check_name
 
 
+def topics_cut_off(server: AdapterServer) -> None:
+    """Publish on the first bytes of a topic that is longer than a packet can say."""
+    genuine = mqtt_tools.check_name
+
+    def check_name(topic: str) -> str:
+        return genuine(topic.encode()[:0xFFFF].decode("utf-8", "ignore"))
+
+    mqtt_tools.check_name = check_name
+
+
 def filters_put_right(server: AdapterServer) -> None:
     genuine = mqtt_tools.check_filter
 
@@ -53,6 +63,15 @@ def clamped(name: str) -> Bend:
 
 
 MUTANTS: tuple[Mutant, ...] = (
+    Mutant(
+        id="MU-68c",
+        protocol="mqtt",
+        sentence="A topic that is too long is cut off, and the message is published on what remains.",
+        bend=topics_cut_off,
+        items="ADR-006.mqtt",
+        requirements="ADR-006",
+        areas="adr",
+    ),
     Mutant(
         id="MU-68t",
         protocol="mqtt",

@@ -146,6 +146,18 @@ def blocking(server: AdapterServer) -> None:
     each(_READ_HOLDING, change=synchronous)(server)
 
 
+def one_message_at_a_time(server: AdapterServer) -> None:
+    """Look at a message only when the one before it has been answered."""
+    turn = asyncio.Lock()
+    (genuine,) = server.mcp.middleware
+
+    async def in_turn(ctx: Any, call_next: Any) -> Any:
+        async with turn:
+            return await genuine(ctx, call_next)
+
+    server.mcp.middleware[:] = [in_turn]
+
+
 def connection_for_each_read(server: AdapterServer) -> None:
     held = []
 
@@ -319,5 +331,13 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _mutant(
         "MU-92", "modbus", "A device that is silent holds up the whole session.", blocking, "CON-005.modbus", "CON-005"
+    ),
+    _mutant(
+        "MU-92k",
+        "s7",
+        "A message is looked at only when the one before it has been answered.",
+        one_message_at_a_time,
+        "CON-005.s7",
+        "CON-005",
     ),
 )

@@ -7,6 +7,7 @@ from typing import Any
 
 from ...core import AdapterServer
 from ..any_protocol import answers_from_memory_when_gone, guard_after_sending
+from ..claims import local_time
 from ..mutant import Data, Mutant, told
 from .enc import as_zero, by_way_of_float
 from .further import cut_off, declared, last_answer, merged, module_of
@@ -51,6 +52,11 @@ def _set(arguments: Any) -> Data:
 
 def _first_byte_only(data: Data) -> Data:
     return {**data, "bytes": data["bytes"][:1] + [0] * (len(data["bytes"]) - 1)}
+
+
+def _one_decimal(data: Data) -> Data:
+    value = data["value"]
+    return {**data, "value": round(value, 1) if isinstance(value, float) else value}
 
 
 _mutant = partial(declared, "profibus")
@@ -119,6 +125,22 @@ MUTANTS: tuple[Mutant, ...] = (
         "ENC-004",
         told(_READ_ALIAS, change=as_zero),
         "A FLOAT32 of the inputs that is NaN is 0.",
+    ),
+    _mutant(
+        "MU-57p",
+        "enc",
+        "ENC-003",
+        "ENC-003",
+        told(_READ_ALIAS, change=_one_decimal),
+        "A floating-point number of the inputs is rounded to one decimal.",
+    ),
+    _mutant(
+        "MU-124p",
+        "enc",
+        "ENC-003 ENC-004 ENC-005 ENC-007",
+        "ENC-007",
+        local_time,
+        "started_at of a PROFIBUS answer is the local time with a Z behind it.",
     ),
     _mutant(
         "MU-58p",

@@ -45,6 +45,19 @@ def whole_bytes_of_bits(server: AdapterServer) -> None:
     tools._bit_states = padded
 
 
+def first_bit_told_last(server: AdapterServer) -> None:
+    """Take the highest bit of each byte for its first: a device sends the first one lowest."""
+    genuine = tools._bit_states
+
+    def turned(arguments: Any, reply: Any) -> Data:
+        data: Data = genuine(arguments, reply)
+        values = data["values"]
+        parts = (values[at : at + 8] for at in range(0, len(values), 8))
+        return {**data, "values": [bit for part in parts for bit in (*part[1:], *part[:1])]}
+
+    tools._bit_states = turned
+
+
 class AnyNumber(Registers):
     """A block of registers of any length."""
 
@@ -183,6 +196,15 @@ MUTANTS: tuple[Mutant, ...] = (
         bend=whole_bytes_of_bits,
         items="RD-001.modbus RD-002.modbus RD-006.modbus RD-007.modbus",
         requirements="RD-001 RD-002 RD-006 RD-007",
+        areas="rd",
+    ),
+    Mutant(
+        id="MU-42r",
+        protocol="modbus",
+        sentence="The first bit of each byte is told as its last.",
+        bend=first_bit_told_last,
+        items="RD-001.modbus RD-006.modbus RD-007.modbus",
+        requirements="RD-001 RD-006 RD-007",
         areas="rd",
     ),
     Mutant(

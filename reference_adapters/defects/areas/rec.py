@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 from ...core import AdapterServer
 from ...modbus import link as modbus_link
+from ...mqtt import link as mqtt_link
 from ...opcua.link import Link, Session
 from ..any_protocol import answers_from_memory_when_gone, never_reconnects
 from ..mqtt import forgets_subscriptions
@@ -46,6 +48,21 @@ def stays_on_a_dead_connection(server: AdapterServer) -> None:
 
     modbus_link.Link._explained = explained
     modbus_link.Link._drop = drop
+
+
+def remembers_one_subscription(server: AdapterServer) -> None:
+    """Make the oldest subscription again after an outage, and tell that all are active."""
+    genuine = mqtt_link.Link._restore
+
+    async def restore(link: mqtt_link.Link, made: Any) -> None:
+        kept = link.subscriptions
+        link.subscriptions = dict(list(kept.items())[:1])
+        try:
+            await genuine(link, made)
+        finally:
+            link.subscriptions = kept
+
+    mqtt_link.Link._restore = restore
 
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -92,6 +109,24 @@ MUTANTS: tuple[Mutant, ...] = (
         bend=forgets_subscriptions,
         items="REC-004.mqtt",
         requirements="REC-004",
+        areas="rec",
+    ),
+    Mutant(
+        id="MU-65n",
+        protocol="mqtt",
+        sentence="Of the subscriptions that died with the connection only the oldest is made again.",
+        bend=remembers_one_subscription,
+        items="REC-004.mqtt",
+        requirements="REC-004",
+        areas="rec",
+    ),
+    Mutant(
+        id="MU-126k",
+        protocol="s7",
+        sentence="After a failed connection no call works any more.",
+        bend=never_reconnects(),
+        items="REC-001.s7 REC-002.s7 REC-005.s7",
+        requirements="REC-001 REC-005",
         areas="rec",
     ),
     Mutant(

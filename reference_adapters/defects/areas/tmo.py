@@ -53,9 +53,16 @@ def nested_retries(server: AdapterServer) -> None:
         finally:
             call.attempts = counted
 
+    link._attempt = library
+    asks_again(_READ, _ADAPTER_RETRIES)(server)
+
+
+def asks_again(tool: str, times: int) -> Bend:
+    """Return the defect that a read that was not answered is asked so often in all, whatever the adapter was told."""
+
     def again(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Data:
-            for _ in range(_ADAPTER_RETRIES - 1):
+            for _ in range(times - 1):
                 try:
                     return await genuine(call, arguments)  # type: ignore[no-any-return]
                 except AdapterError as error:
@@ -65,8 +72,7 @@ def nested_retries(server: AdapterServer) -> None:
 
         return handler
 
-    link._attempt = library
-    each(_READ, change=again)(server)
+    return each(tool, change=again)
 
 
 def repeated_when_cancelled(*names: str) -> Bend:
@@ -85,6 +91,23 @@ def repeated_when_cancelled(*names: str) -> Bend:
         return handler
 
     return each(*names, change=again)
+
+
+def deaf_to_cancellation(server: AdapterServer) -> None:
+    """Let every call wait until the one before it is over, and be carried out to its end although it has been cancelled."""
+    turn = asyncio.Lock()
+
+    def queued(genuine: Handler) -> Handler:
+        async def at_its_turn(call: Call, arguments: Any) -> Data:
+            async with turn:
+                return await genuine(call, arguments)  # type: ignore[no-any-return]
+
+        async def handler(call: Call, arguments: Any) -> Data:
+            return await asyncio.shield(asyncio.ensure_future(at_its_turn(call, arguments)))
+
+        return handler
+
+    each(change=queued)(server)
 
 
 def _not_sent(call: Call, error: AdapterError) -> Exception | None:
@@ -117,8 +140,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "modbus",
         "Every byte of an answer begins the time limit anew.",
         patient_with_every_byte,
-        "TMO-001.modbus",
-        "TMO-001",
+        "TMO-001.modbus TMO-002.modbus",
+        "TMO-001 TMO-002",
     ),
     _mutant(
         "MU-31",
@@ -134,6 +157,38 @@ MUTANTS: tuple[Mutant, ...] = (
         "Adapter and library both repeat a read, so twelve requests leave.",
         nested_retries,
         "TMO-002.modbus",
+        "TMO-002",
+    ),
+    _mutant(
+        "MU-31r",
+        "modbus",
+        "Another timeout than the usual one has no effect.",
+        patient(2.4, _READ),
+        "TMO-002.modbus",
+        "TMO-002",
+    ),
+    _mutant(
+        "MU-31s",
+        "s7",
+        "Another timeout than the usual one has no effect.",
+        patient(2.4, "read_db"),
+        "TMO-002.s7",
+        "TMO-002",
+    ),
+    _mutant(
+        "MU-32r",
+        "modbus",
+        "A read that is not answered is asked three times, and the subject file says once.",
+        asks_again(_READ, 3),
+        "TMO-002.modbus",
+        "TMO-002",
+    ),
+    _mutant(
+        "MU-32t",
+        "bacnet",
+        "A question that is not answered is sent four times, and the subject file says twice.",
+        asks_again("read_property", 2),
+        "TMO-002.bacnet",
         "TMO-002",
     ),
     _mutant(
@@ -159,6 +214,22 @@ MUTANTS: tuple[Mutant, ...] = (
         repeated_when_cancelled("publish_message"),
         "TMO-003.mqtt",
         "TMO-003 WR-003",
+    ),
+    _mutant(
+        "MU-33w",
+        "modbus",
+        "A write that waits for its turn when it is cancelled is carried out.",
+        deaf_to_cancellation,
+        "",
+        "TMO-003",
+    ),
+    _mutant(
+        "MU-33wo",
+        "opcua",
+        "A Write that waits for its turn when it is cancelled is carried out.",
+        deaf_to_cancellation,
+        "",
+        "TMO-003",
     ),
     _mutant(
         "MU-34",

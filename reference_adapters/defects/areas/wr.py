@@ -261,6 +261,19 @@ def emulated_mask_write(server: AdapterServer) -> None:
     each(_MASK, change=emulated)(server)
 
 
+def masks_exchanged(server: AdapterServer) -> None:
+    def exchanged(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            asked = {"and_mask": arguments.and_mask, "or_mask": arguments.or_mask}
+            swapped = {"and_mask": arguments.or_mask, "or_mask": arguments.and_mask}
+            data: Data = await genuine(call, arguments.model_copy(update=swapped))
+            return {**data, **asked}
+
+        return handler
+
+    each(_MASK, change=exchanged)(server)
+
+
 def clamping_ignored(server: AdapterServer) -> None:
     def asked(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Data:
@@ -434,6 +447,14 @@ MUTANTS: tuple[Mutant, ...] = (
         too_long_a_block,
         "WR-008.modbus",
         "ERR-006 WR-008",
+    ),
+    _mutant(
+        "MU-28x",
+        "modbus",
+        "Of a mask write the two masks are exchanged, and told as asked for.",
+        masks_exchanged,
+        "WR-001.modbus WR-002.modbus WR-011.modbus",
+        "WR-001 WR-011",
     ),
     _mutant("MU-28", "modbus", "A mask write is a read and a write.", emulated_mask_write, "WR-011.modbus", "WR-011"),
     _mutant(

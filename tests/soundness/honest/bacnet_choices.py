@@ -12,11 +12,15 @@ from bacpypes3.apdu import (
     ReadPropertyMultipleRequest,
     SubscribeCOVRequest,
     WhoIsRequest,
+    WritePropertyMultipleError,
+    WritePropertyMultipleRequest,
 )
 from bacpypes3.appservice import ABORTED
-from bacpypes3.basetypes import PropertyReference, ReadAccessSpecification
+from bacpypes3.basetypes import PropertyReference, PropertyValue, ReadAccessSpecification, WriteAccessSpecification
 from bacpypes3.pdu import Address
 from bacpypes3.primitivedata import ObjectIdentifier
+from pytest_otmcp.reference_adapters.bacnet import link as bacnet_link
+from pytest_otmcp.reference_adapters.bacnet import tools as bacnet_tools
 from pytest_otmcp.reference_adapters.bacnet.refusals import refusal
 from pytest_otmcp.reference_adapters.bacnet.shapes import PropertyOf
 from pytest_otmcp.reference_adapters.bacnet.tools import Tools, _shown, _trace
@@ -376,3 +380,25 @@ def reads_before_writing(server: AdapterServer) -> None:
         return await genuine(call, asked)
 
     tools._write = write
+
+
+def as_several_writes(
+    *, objectIdentifier: Any, propertyIdentifier: Any, propertyValue: Any, priority: int, destination: Address
+) -> WritePropertyMultipleRequest:
+    """Return a WritePropertyMultiple with the one write that a WriteProperty of these members has."""
+    value = PropertyValue(propertyIdentifier=propertyIdentifier, value=propertyValue, priority=priority)
+    specification = WriteAccessSpecification(objectIdentifier=objectIdentifier, listOfProperties=[value])
+    return WritePropertyMultipleRequest(listOfWriteAccessSpecs=[specification], destination=destination)
+
+
+@choice("writes by WritePropertyMultiple", "ASHRAE 135, clause 15.10: a write of one property, too")
+def writes_by_multiple(server: AdapterServer) -> None:
+    genuine = refusal
+
+    def explained(call: Call, error: Any) -> AdapterError:
+        if isinstance(error, WritePropertyMultipleError):
+            error.errorClass, error.errorCode = error.errorType.errorClass, error.errorType.errorCode
+        return genuine(call, error)
+
+    bacnet_tools.WritePropertyRequest = as_several_writes
+    bacnet_link.refusal = explained

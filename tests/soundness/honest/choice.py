@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import copy
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
@@ -27,6 +27,7 @@ __all__ = [
     "narrowed",
     "one_call_at_a_time",
     "one_connection_per_call",
+    "said_to_ask",
     "twice_where_missing",
 ]
 
@@ -170,22 +171,33 @@ def one_connection_per_call(server: AdapterServer, end: Callable[[], Awaitable[N
     one_call_at_a_time(server)
 
 
-def again_after_silence(server: AdapterServer, *names: str) -> None:
-    """Let these tools, which read, ask once more when the device did not answer in time."""
+def again_after_silence(server: AdapterServer, *names: str, times: int = 1) -> None:
+    """Let these tools, which read, ask once more, or so often, when the device did not answer in time."""
 
-    def twice(genuine: Handler) -> Handler:
+    def again(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
-            try:
-                return await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "timeout":
-                    raise
+            for _ in range(times):
+                try:
+                    return await genuine(call, arguments)
+                except AdapterError as error:
+                    if error.code != "timeout":
+                        raise
             return await genuine(call, arguments)
 
         return handler
 
     for name in names:
-        wrap(server, name, twice)
+        wrap(server, name, again)
+
+
+def said_to_ask(attempts: int) -> Callable[[Adapter], Adapter]:
+    """Return the description of an adapter that asks a silent device so often."""
+
+    def described(adapter: Adapter) -> Adapter:
+        assert adapter.times is not None
+        return replace(adapter, times=replace(adapter.times, attempts=attempts))
+
+    return described
 
 
 def backed_off(connect: Callable[..., Awaitable[Any]], seconds: float) -> Callable[..., Awaitable[Any]]:

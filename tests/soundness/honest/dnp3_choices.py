@@ -23,6 +23,7 @@ from .choice import (
     in_background,
     one_call_at_a_time,
     one_connection_per_call,
+    said_to_ask,
     twice_where_missing,
 )
 
@@ -277,6 +278,7 @@ def asks_twice_for_missing_points(server: AdapterServer) -> None:
 @choice(
     "waits half as long and reads a second time when the outstation was silent",
     "requirement TMO-002: a read may be repeated; meta.attempts says so",
+    described=said_to_ask(2),
 )
 def reads_again_after_silence(server: AdapterServer) -> None:
     tools_of(server)._link._timeout_s /= 2

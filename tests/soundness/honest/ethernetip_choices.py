@@ -31,6 +31,7 @@ from .choice import (
     in_background,
     one_call_at_a_time,
     one_connection_per_call,
+    said_to_ask,
     twice_where_missing,
 )
 
@@ -318,6 +319,7 @@ def asks_twice_for_a_missing_tag(server: AdapterServer) -> None:
 @choice(
     "waits half as long and reads a second time when the controller was silent",
     "requirement TMO-002: a read may be repeated; meta.attempts says so",
+    described=said_to_ask(2),
 )
 def reads_again_after_silence(server: AdapterServer) -> None:
     tools_of(server)._link._timeout_s /= 2

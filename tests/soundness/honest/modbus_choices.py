@@ -15,6 +15,7 @@ from pytest_otmcp.reference_adapters.modbus.tools import Tools
 
 from .choice import (
     Bend,
+    again_after_silence,
     backed_off,
     background_call,
     choices,
@@ -22,6 +23,7 @@ from .choice import (
     in_background,
     narrowed,
     one_call_at_a_time,
+    said_to_ask,
     twice_where_missing,
 )
 
@@ -369,6 +371,17 @@ def ping_by_an_input_register(server: AdapterServer) -> None:
         return {"reachable": True}
 
     wrap(server, "ping", lambda genuine: ping)
+
+
+@choice(
+    "waits a third as long and asks a silent device three times, as the subject file says",
+    "requirement TMO-002: a read may be repeated; meta.attempts says so",
+    described=said_to_ask(3),
+)
+def asks_three_times(server: AdapterServer) -> None:
+    tools_of(server)._link._timeout_s /= 3
+    reads = ("read_input_registers", "read_multiple_holding_registers", "read_coils", "read_discrete_inputs", "ping")
+    again_after_silence(server, *reads, times=2)
 
 
 choice("performs one call after the other", "the order of calls made at the same time is the adapter's own affair")(

@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import Field
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.profibus.master import Master, _watchdog_factors
+from pytest_otmcp.reference_adapters.profibus.shapes import InputsOf, WriteOutputs
 from pytest_otmcp.reference_adapters.profibus.telegram import Telegram
 from pytest_otmcp.reference_adapters.profibus.tools import Tools
 
@@ -319,3 +321,36 @@ def checks_the_configuration(server: AdapterServer) -> None:
         return handler
 
     wrap(server, "write_outputs", looked)
+
+
+class AnyInputs(InputsOf):
+    """The inputs of a station with any address that fits into a telegram."""
+
+    slave_address: Annotated[int, Field(ge=0, le=127)]
+
+
+class AnyOutputs(WriteOutputs):
+    """The outputs of such a station."""
+
+    slave_address: Annotated[int, Field(ge=0, le=127)]
+
+
+@choice(
+    "asks the line for stations 126 and 127 as well, and says that they do not answer",
+    "EN 50170 volume 2: 126 is the address of a station that has none yet; what no station has is silent",
+)
+def asks_for_any_station(server: AdapterServer) -> None:
+    master = master_of(server)
+
+    def looked(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            if arguments.slave_address in (126, 127):
+                await master.line.ask_status(call, arguments.slave_address, 0.1, after_another=False)
+                message = "no station with this address answers"
+                raise AdapterError("timeout", message, outcome="not_sent" if call.writes else None)
+            return await genuine(call, arguments)
+
+        return handler
+
+    wrap(server, "read_inputs", looked, model=AnyInputs)
+    wrap(server, "write_outputs", looked, model=AnyOutputs)
