@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -64,6 +65,26 @@ def write_not_sent(server: AdapterServer) -> None:
         return change(bytes(master.slaves[station].output_length))
 
     master.write = write
+
+
+def sent_before_refused(server: AdapterServer) -> None:
+    master = _master(server)
+
+    def sending(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code == "config_error":
+                    hidden = Call(protocol="", operation="", endpoint="", writes=True)
+                    with suppress(AdapterError):
+                        await master._exchange_data(hidden, arguments.slave_address, bytes(arguments.data))
+                raise
+            return data
+
+        return handler
+
+    wrap(server, _WRITE, sending)
 
 
 def written_once(server: AdapterServer) -> None:
@@ -162,6 +183,14 @@ MUTANTS = (
         bend=guard_after_sending(_WRITE),
         items="P4 SP4",
         requirements="WR-004 ERR-006",
+    ),
+    Mutant(
+        id="MU-20pi",
+        protocol="profibus",
+        sentence="Outputs are sent to a slave of another kind, and refused afterwards.",
+        bend=sent_before_refused,
+        items="FP5",
+        requirements="ERR-006",
     ),
     Mutant(
         id="MU-35p",
