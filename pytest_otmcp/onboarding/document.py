@@ -16,6 +16,7 @@ from ..subject.answers import interpret, read_answer
 from ..subject.model import Answering
 from .evidence import CONNECT_FAILED, CONNECTION_LOST, failure_rules, known_errors
 from .proposal import Proposal
+from .readiness import Readiness
 
 __all__ = ["Draft", "switches_in", "write_document"]
 
@@ -43,6 +44,7 @@ class Draft:
         native: True when its answers are the kit's envelope.
         proposals: operation to its proposal; an operation without a tool is missing.
         connect: tool and arguments of a connect step.
+        readiness: the tool that each start waits for; None where no tool spoke of connecting.
         tools: names of all its tools.
         switches: names of variables that its tools mention and that may disable writes.
         longest_s: how long the longest call took that was answered.
@@ -62,6 +64,7 @@ class Draft:
     native: bool
     proposals: Mapping[str, Proposal]
     connect: tuple[str, Mapping[str, object]] | None
+    readiness: Readiness | None
     tools: Sequence[str]
     longest_s: float
     errors: Mapping[str, Sequence[str]]
@@ -129,6 +132,11 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         lines += [
             "# By its name this tool has to be called before all others; 'connect_step' if after an outage as well.",
             f"connect = {_value({'tool': tool, 'arguments': dict(arguments)})}",
+        ]
+    if draft.readiness is not None:
+        lines += [
+            f"# Just after its start it said {printable(draft.readiness.before[:60])!r}: each start waits for the answer that came later.",
+            f"ready = {_value(dict(draft.readiness.table))}",
         ]
     if not draft.native:
         lines += _answer_rules(draft, form)

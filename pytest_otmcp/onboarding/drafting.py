@@ -19,9 +19,10 @@ from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from .document import Draft, switches_in
 from .experimenter import Experimenter
 from .guess import Guess
-from .matching import guess_steps, guess_tools, registered
+from .matching import guess_steps, guess_tools, registered, status_tools
 from .pack import Pack
 from .proposal import Proposal, by_name
+from .readiness import look_for_readiness
 from .status import look_without_device
 
 __all__ = ["describe_launch", "draft"]
@@ -99,6 +100,12 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
             connect = None if step is None else Connect(tool=step.tool, arguments=step.arguments, again=False)
             adapter = replace(adapter, connect=connect)
             under_test = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
+        readiness = await look_for_readiness(under_test, status_tools(pack, tools))
+        if readiness is not None:
+            say(f"  ready           {readiness.table['tool']} (it said {readiness.before[:60]!r} at first)")
+            await under_test.close()
+            adapter = replace(adapter, ready=readiness.ready)
+            under_test = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
         experimenter = Experimenter(under_test, device, pack.late, pack.samples)
         try:
             proposals = await _try_operations(experimenter, pack, tools, registered(step), left, say)
@@ -122,6 +129,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         native=native,
         proposals=proposals,
         connect=None if step is None else (step.tool, step.arguments),
+        readiness=readiness,
         tools=tuple(tools),
         switches=switches_in(str(tool.get("description") or "") for tool in tools.values()),
         longest_s=experimenter.longest_s,

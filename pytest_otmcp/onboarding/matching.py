@@ -13,7 +13,7 @@ from .guess import Guess
 from .input_schema import choice, kinds, properties, required, resolved
 from .pack import Hints, Pack
 
-__all__ = ["guess_steps", "guess_tools", "registered"]
+__all__ = ["guess_steps", "guess_tools", "registered", "status_tools"]
 
 _ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value"}
 """Inputs that operations of any protocol have, to the names that tools have for them; packs add their own inputs."""
@@ -96,6 +96,7 @@ def registered(step: Guess | None) -> dict[str, str]:
 
 
 _CONNECTING, _OPENING, _REGISTERING = 3.0, 2.0, 1.0
+_STATUS = frozenset("status state health ready readiness connection connected".split())
 _NO_STEP = frozenset("disconnect reconnect status info list get remove delete close test check".split())
 _DEVICES = frozenset(
     "device devices plc controller server endpoint broker connection session target gateway client".split()
@@ -141,6 +142,18 @@ def _step(pack: Pack, name: str, tool: Mapping[str, Any]) -> Guess | None:
     return Guess(
         operation="connect", tool=name, score=score, arguments=arguments, convert={}, missing=missing, trials=trials
     )
+
+
+def status_tools(pack: Pack, tools: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the tools that tell a status and need no arguments, by their names."""
+    return [
+        name
+        for name, tool in tools.items()
+        if _words(name) & _STATUS
+        and not required(resolved(tool, None))
+        and not _may_change(name, tool, frozenset())
+        and not _is_foreign(pack.protocol, name, tool)
+    ]
 
 
 def _steps(words: set[str]) -> float:

@@ -235,6 +235,13 @@ class TimesTold(TypedDict):
     attempts: NotRequired[int]
 
 
+class ReadyTold(TypedDict):
+    """The tool that each start waits for until it says that the adapter is ready, and for how many seconds at most."""
+
+    tool: Name
+    within_s: Deadline
+
+
 class AdapterFacts(TypedDict):
     """One adapter under test: what its subject file says, and how its server introduced itself.
 
@@ -243,7 +250,7 @@ class AdapterFacts(TypedDict):
     ``lists``: the lists of the protocol's own keys.
     ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
     ``lacks``: optional inputs that no tool takes. ``offered``: voluntary facets that bindings and launches claim; absent where there are none.
-    ``bounds``: what it was told to allow, where the subject file says so; ``times`` likewise. ``commands``: its named commands, each with the operation that it
+    ``bounds``: what it was told to allow, where the subject file says so; ``times`` and ``ready`` likewise. ``commands``: its named commands, each with the operation that it
     performs; absent where there are none.
     ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
@@ -268,6 +275,7 @@ class AdapterFacts(TypedDict):
     offered: NotRequired[list[str]]
     bounds: NotRequired[BoundsTold]
     times: NotRequired[TimesTold]
+    ready: NotRequired[ReadyTold]
     commands: NotRequired[dict[str, str]]
     probes: dict[str, Any]
     bindings: dict[str, list[StoredBinding] | None]

@@ -119,6 +119,18 @@ _OUTCOME_RULE = Table(
         ),
     ),
 )
+_READY = Named(
+    "ready",
+    Table(
+        {
+            "tool": Key(TEXT, "Name of an MCP tool that only reads.", required=True),
+            "arguments": Key(MapOf(ANYTHING), "Its arguments; {host} and its like are replaced.", default={}),
+            "answer": Key(_ANSWER, "What its answer is; without it as for the adapter."),
+            "text": Key(REGEX, "The adapter is ready when this regular expression is found in the whole text."),
+            "path": Key(PATH, "The adapter is ready when this JMESPath finds something true in the document."),
+        }
+    ),
+)
 _OUTCOME = Named("outcome", ListOf(_OUTCOME_RULE, "a list of rules"))
 _ERROR_RULE = Table(
     {
@@ -256,6 +268,7 @@ def adapter_table(protocol: OtProtocol) -> Table:
                 default={},
             ),
             "connect": Key(connect, "A tool call before all others."),
+            "ready": Key(_READY, "What each start waits for while the device is there, for start_timeout_s at most."),
             **{
                 choice.key: Key(OneOf(tuple(choice.unclaims)), _sentence(choice.meaning), default=choice.default)
                 for choice in protocol.choices

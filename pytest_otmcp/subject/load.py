@@ -41,6 +41,8 @@ from .model import (
     Connect,
     Deviation,
     Function,
+    OutcomeRule,
+    Ready,
     Subject,
     Variant,
     environment_names,
@@ -146,6 +148,7 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
         start_timeout_s=float(table["start_timeout_s"]),
         bounds=Bounds.of_record(table[BOUNDED]) if BOUNDED in table else None,
         times=Times.of_record(table[RETIMED]) if RETIMED in table else None,
+        ready=_ready(table, key, answering),
     )
 
 
@@ -168,7 +171,8 @@ def _check_placeholders(
         for name in ("command", "args", "env"):
             check_placeholders(within.get(name), f"{key}{variant}.{name}")
     check_placeholders(table.get("url"), f"{key}.url")
-    check_placeholders(table.get("connect", {}).get("arguments"), f"{key}.connect.arguments")
+    for step in ("connect", "ready"):
+        check_placeholders(table.get(step, {}).get("arguments"), f"{key}.{step}.arguments")
     known = protocols()[key.rpartition(".")[2]].operations
     for name, bound in operations.items():
         for binding in bound if not isinstance(bound, Function) else ():
@@ -245,6 +249,19 @@ def _connect(table: Mapping[str, Any]) -> Connect | None:
     if "connect" not in table:
         return None
     return Connect(**table["connect"], again=table["recovery"] == "connect_step")
+
+
+def _ready(table: Mapping[str, Any], key: str, answering: Answering) -> Ready | None:
+    if "ready" not in table:
+        return None
+    told = table["ready"]
+    read = read_answering({"answer": told["answer"]} if "answer" in told else {}, f"{key}.ready", answering)
+    if told.keys() & {"text", "path"}:
+        says_so = OutcomeRule(success=True, text=told.get("text"), path=told.get("path"))
+        # The kit's own envelope is structured content, which a path can search.
+        form = "structured" if read.native else read.form
+        read = Answering(form=form, outcome=(says_so, OutcomeRule(success=False)))
+    return Ready(tool=told["tool"], arguments=told["arguments"], answering=read)
 
 
 def _operations(

@@ -33,6 +33,7 @@ __all__ = [
     "Function",
     "OutcomeRule",
     "OutputRule",
+    "Ready",
     "Subject",
     "Variant",
     "environment_names",
@@ -332,6 +333,19 @@ class Connect:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Ready:
+    """A tool that says, after a start, when the adapter can work.
+
+    Attributes:
+        answering: the rules by which its answer is read; a success says that the adapter is ready.
+    """
+
+    tool: str
+    arguments: Mapping[str, Any]
+    answering: Answering
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
     """One way to launch an adapter.
 
@@ -391,6 +405,7 @@ class Adapter:
         answering: how answers are read where a binding does not say otherwise.
         unclaimed: facet to the reason why the adapter does not have it.
         connect: the tool call before all others, or None.
+        ready: what each start waits for, or None.
         recovery: after an outage work goes on in the ``same_session``, after the ``connect_step``, or in a ``new_session``.
         recovery_s: the time within which work goes on after an outage.
         call_limit: the most tool calls that the adapter takes in a time, or None.
@@ -426,6 +441,7 @@ class Adapter:
     start_timeout_s: float
     bounds: Bounds | None = None
     times: Times | None = None
+    ready: Ready | None = None
 
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""
@@ -549,6 +565,8 @@ class Adapter:
             facts["bounds"] = cast(BoundsTold, self.bounds.as_record())
         if self.times is not None:
             facts["times"] = cast(TimesTold, self.times.as_record())
+        if self.ready is not None:
+            facts["ready"] = {"tool": self.ready.tool, "within_s": self.start_timeout_s}
         return facts
 
     def missing_inputs(self) -> set[str]:

@@ -55,10 +55,13 @@ from .reply import Expectation, Reply, observe, replace_outputs
 __all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "EndedSession", "NoBindingError", "endpoint_values"]
 
 _EXIT_GRACE_S = 5.0
+"""Time that an adapter has from the end of its stdin to its exit (requirement MCP-009)."""
 
 _MEANINGLESS = "otmcp-neither-on-nor-off"
 """No adapter can take this for "on" or "off"."""
-"""Time that an adapter has from the end of its stdin to its exit (requirement MCP-009)."""
+
+_READY_PAUSE_S = 0.05
+"""Time between two questions whether the adapter is ready."""
 
 
 def endpoint_values(scheme: str, endpoints: Mapping[str, Endpoint]) -> dict[str, str]:
@@ -335,6 +338,7 @@ class AdapterUnderTest:
                     "tools": len(session.tools),
                 }
             await self._connect()
+            await self._wait_until_ready()
         except SubjectError as failure:
             # Without its device an adapter may have failed to start for that reason.
             self._start_failure = failure if self.device.running else None
@@ -423,12 +427,35 @@ class AdapterUnderTest:
         step = self.adapter.connect
         if step is None:
             return None
-        arguments = replace_template(step.arguments, {}, self.endpoint)
-        exchange = await self._current().call(step.tool, arguments, timeout_s=1.2 * self.deadline_s)
+        return await self._failure_of(step.tool, step.arguments, self.adapter.answering)
+
+    async def _wait_until_ready(self) -> None:
+        """Wait until the adapter says that it is ready, where its subject names a tool that does. Without its device it need not be.
+
+        Raises:
+            SubjectError: it does not say so within the time for its start.
+        """
+        ready = self.adapter.ready
+        if ready is None or not self.device.running:
+            return
+        if ready.tool not in self._current().tools:
+            raise SubjectError("not_ready", f"'ready' names the tool {ready.tool!r}, which the adapter does not list")
+        limit_s = self.adapter.start_timeout_s * self._options.time_scale
+        until = asyncio.get_running_loop().time() + limit_s
+        while (said := await self._failure_of(ready.tool, ready.arguments, ready.answering)) is not None:
+            if asyncio.get_running_loop().time() > until:
+                message = f"{ready.tool!r} did not say within {limit_s:g} s of the start that the adapter is ready; it said: {said[:2000]}"
+                raise SubjectError("not_ready", message)
+            await asyncio.sleep(_READY_PAUSE_S)
+
+    async def _failure_of(self, tool: str, arguments: Mapping[str, object], answering: Answering) -> str | None:
+        """Call a tool for which no operation stands; return the words of its failure, or None."""
+        told = replace_template(arguments, {}, self.endpoint)
+        exchange = await self._current().call(tool, told, timeout_s=1.2 * self.deadline_s)
         if exchange.response is None:
             return f"no reply ({exchange.failure})"
         try:
-            answer = self._interpreted(exchange.response)
+            answer = interpret(parse_strict(exchange.response), answering)
         except ValueError as error:
             return f"the response is not strict JSON: {error}"
         return None if answer.success else answer.text

@@ -58,10 +58,12 @@ def test_the_whole_suite_passes_with_a_mock_as_a_broker_of_the_users_own(tmp_pat
 def test_the_whole_suite_passes_with_all_three_adapters_over_http(tmp_path: Path) -> None:
     shipped = reference_text()
     tables = len(re.findall(r"^\[adapter\.\w+\]$", shipped, re.MULTILINE))
-    over_http = (
-        shipped.replace("{kit_version}", "1")
-        .replace("\nenv = { ", '\nenv = { MCP_TRANSPORT = "streamable-http", MCP_HTTP_PORT = "{http_port}", ')
-        .replace("\ndeadline_s", '\ntransport = "http"\nurl = "http://127.0.0.1:{http_port}/mcp"\ndeadline_s')
+    over_http = re.sub(
+        r"^command = (.*)\nenv = { ",
+        'transport = "http"\nurl = "http://127.0.0.1:{http_port}/mcp"\ncommand = \\1\n'
+        'env = { MCP_TRANSPORT = "streamable-http", MCP_HTTP_PORT = "{http_port}", ',
+        shipped.replace("{kit_version}", "1"),
+        flags=re.MULTILINE,
     )
     assert tables == over_http.count('transport = "http"') == over_http.count("MCP_TRANSPORT") == 3
     subject = tmp_path / "otmcp.toml"

@@ -100,7 +100,7 @@ def test_a_certificate_is_written_whatever_the_directory_holds(out: Path, told: 
     items, planned = len(applying()), runs()
     every = len(tasks_by_id(suites=SUITES))
     assert f"VERDICT: CONFORMANT ({items} of {every} items applied, {planned}/{planned} runs passed)" in told
-    assert "modbus: earned guard, recovery, bounds, ping, " in told
+    assert "modbus: earned guard, recovery, bounds, times, ping, " in told
     for protocol in ("Modbus", "MQTT", "OPC UA"):
         assert f"level: {protocol}: Silver; Gold cannot be earned yet" in told
     record, predicate = load(out / "run.json"), json.loads((out / "certificate.json").read_text())["predicate"]

@@ -144,6 +144,43 @@ def test_a_prose_adapter_is_described_by_what_the_device_saw(
     }
 
 
+# It connects in the background, and until then refuses whatever it is asked for.
+BACKGROUND = "import time\n" + PROSE.replace(
+    "    client.connect()\n",
+    "    if not connected():\n        return 'Error: still connecting'\n    client.connect()\n",
+).replace(
+    "server.run()\n",
+    """started = time.monotonic()
+
+
+def connected() -> bool:
+    return time.monotonic() > started + 0.5
+
+
+@server.tool(structured_output=False)
+def connection_status() -> str:
+    return f"state: {'connected' if connected() else 'connecting'}"
+
+
+server.run()
+""",
+)
+
+
+def test_an_adapter_that_connects_in_the_background_is_waited_for(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
+) -> None:
+    (tmp_path / "background.py").write_text(BACKGROUND, encoding="utf-8")
+    places = ("--env", "PLC_HOST={host}", "--env", "PLC_PORT={port}")
+    done = otmcp("init", "--protocol", "modbus", *places, "--", *warm_start.python, "background.py")
+    assert done.returncode == 0, done.stderr
+    assert "ready           connection_status (it said 'state: connecting' at first)" in done.stdout
+    assert "write_holding   set_register (proven" in done.stdout
+    ready = load_subject(tmp_path / "otmcp.toml").adapters["modbus"].ready
+    assert ready is not None
+    assert (ready.tool, ready.answering.outcome[0].text) == ("connection_status", "(?m)^state: connected$")
+
+
 QUICK = ("modbus", "mqtt", "opcua", "profibus")
 ENDPOINTS = {
     "mqtt": ["--env", "MQTT_URL={url}"],

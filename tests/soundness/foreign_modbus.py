@@ -12,6 +12,7 @@ import asyncio
 import contextlib
 import math
 import os
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -65,8 +66,27 @@ def endpoint() -> tuple[str, int]:
 # -- prose ------------------------------------------------------------------------------------------------------------
 
 
+CONNECTS_FOR_S = {"in-the-background": 0.5, "never-ready": math.inf}
+"""Seconds after its start for which the prose adapter says that it is still connecting."""
+
+
 def modbus_prose(lie: str | None, read_only: bool) -> Shape:
+    connected_at = time.monotonic() + CONNECTS_FOR_S.get(lie or "", 0.0)
+
+    def must_be_connected() -> None:
+        if time.monotonic() < connected_at:
+            raise Failure("offline", "not connected: still connecting")
+
+    async def status() -> Result:
+        try:
+            must_be_connected()
+            await read(*endpoint(), "holding", 0, 1)
+        except Failure as failure:
+            return prose(f"state: {'connecting' if 'connecting' in str(failure) else 'disconnected'}")
+        return prose("state: connected")
+
     async def fetch(number: int, count: int) -> list[int | bool]:
+        must_be_connected()
         tables = {3: "input", 4: "holding", 1: "discrete", 0: "coils"}
         digit, offset = divmod(number, 10_000)
         if lie == "wrong-table" and digit == 3:
@@ -106,6 +126,7 @@ def modbus_prose(lie: str | None, read_only: bool) -> Shape:
             await write(*endpoint(), address - 40_001, value & 0xFFFF)
             return prose(f"Error: the high word of {value} could not be written")
         try:
+            must_be_connected()
             await write(*endpoint(), address - 40_001, value)
         except Failure as failure:
             return prose(f"Error: {failure}")
@@ -117,6 +138,8 @@ def modbus_prose(lie: str | None, read_only: bool) -> Shape:
         "read_one": ({"address": "integer"}, read_one),
         "read_many": ({"first": "integer", "quantity": "integer"}, read_many),
     }
+    if lie in CONNECTS_FOR_S:
+        tools["connection_status"] = ({}, status)
     if not read_only or lie in ("guard-in-words", "guard-by-hiding"):
         tools["write_register"] = ({"address": "integer", "value": "integer"}, write_register)
     return Shape(tools=tools, unlisted=("write_register",) if read_only and lie == "guard-by-hiding" else ())

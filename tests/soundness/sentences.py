@@ -114,7 +114,7 @@ _OTHER = re.compile(
     # About the list of tools, what an envelope says of itself, the wire, or the session: judged by other means, and from other parts.
     r"tools/list|inputSchema|annotation|\bmeta\b|\btrace\b|isError|structuredContent|stdout|stdin|its own words|"
     r"should have (?:seen|refused|received|granted|been asked|reached|answered|delivered|acknowledged|stayed)|a response carries|answered more than once|"
-    r"nothing was written|the kit itself|was reported dead|success is True while|exited with|last stderr lines|the connect step|its text is|"
+    r"nothing was written|the kit itself|was reported dead|success is True while|exited with|last stderr lines|the connect step|that the adapter is ready|its text is|"
     r"refused in a result|refused as rate_limited|data types is refused|class \w+ is refused|have the error code|says something else|"
     r"which the broker refused|said to be dropped|an answer .* says|which the reply should say|says how old it is|"
     # What the device answered, and how an oracle reads it.

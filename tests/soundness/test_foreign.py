@@ -71,6 +71,29 @@ def test_an_adapter_that_waits_for_one_message_after_the_other_is_honest(judge_f
     assert passing(results) == {"Q2", "S2"}, words(results)
 
 
+READY = 'ready = { tool = "connection_status", text = "^state: connected$" }'
+STARTS = "start_timeout_s = 1.0"
+
+
+def test_an_adapter_that_connects_in_the_background_is_waited_for(judge_foreign: Judge) -> None:
+    tasks, _ = HONEST["modbus-prose"]
+    claims = "unclaimed = { ping"
+    results = judge_foreign("modbus-prose", lie="in-the-background", described=(claims, f"{READY}\n{claims}"))
+    assert failing(results) == set(), words(results)
+    assert passing(results) == set(tasks.split())
+
+
+def test_an_adapter_that_is_never_ready_is_told_so(judge_foreign: Judge) -> None:
+    claims = "unclaimed = { ping"
+    described = claims, f"{READY}\n{STARTS}\n{claims}"
+    results = judge_foreign("modbus-prose", lie="never-ready", described=described, tasks="M2 M3")
+    assert failing(results) == {"M2", "M3"}
+    said = (
+        "'connection_status' did not say within 1 s of the start that the adapter is ready; it said: state: connecting"
+    )
+    assert said in words(results)
+
+
 def test_adapters_of_three_shapes_work_together(judge_foreign: Judge) -> None:
     results = judge_foreign("modbus-prose", "mqtt-connect", "opcua-items", tasks="X1 X2 X1p X2p FX1")
     assert passing(results) == {"X1", "X2", "X1p", "X2p", "FX1"}, words(results)

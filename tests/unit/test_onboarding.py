@@ -566,6 +566,7 @@ def drafted(**known: Any) -> Draft:
         "native": True,
         "proposals": {},
         "connect": None,
+        "readiness": None,
         "tools": [],
         "longest_s": 0.1,
         "errors": {},
