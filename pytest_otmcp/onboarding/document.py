@@ -13,7 +13,9 @@ from ..core.text import printable
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
 from ..subject.answers import interpret, read_answer
+from ..subject.command import Draw
 from ..subject.model import Answering
+from .effects import Effect
 from .evidence import CONNECT_FAILED, CONNECTION_LOST, failure_rules, known_errors
 from .proposal import Proposal
 from .readiness import Readiness
@@ -43,6 +45,7 @@ class Draft:
     Attributes:
         native: True when its answers are the kit's envelope.
         proposals: operation to its proposal; an operation without a tool is missing.
+        commands: named commands by the names of their tools.
         connect: tool and arguments of a connect step.
         readiness: the tool that each start waits for; None where no tool spoke of connecting.
         tools: names of all its tools.
@@ -63,6 +66,7 @@ class Draft:
     transport_url: str | None
     native: bool
     proposals: Mapping[str, Proposal]
+    commands: Mapping[str, Effect]
     connect: tuple[str, Mapping[str, object]] | None
     readiness: Readiness | None
     tools: Sequence[str]
@@ -146,6 +150,8 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     for operation in protocols()[draft.protocol].operations:
         if operation in draft.proposals or not protocols()[draft.protocol].operations[operation].voluntary:
             lines += ["", *_binding(draft, operation, form)]
+    for name, effect in draft.commands.items():
+        lines += ["", *_command(draft, name, effect)]
     # A comment may repeat the adapter's words: it stays one line, of characters that TOML allows in a comment.
     return "\n".join(printable(line) if line.startswith("#") else line for line in lines) + "\n"
 
@@ -185,6 +191,9 @@ def _unclaimed(draft: Draft) -> list[str]:
         f"{GUARD} = {_value(_NO_SWITCH)}",
     ]
     for operation, asked in protocols()[draft.protocol].operations.items():
+        if draft.commands and asked.writes:
+            # The named commands say how it writes.
+            continue
         if operation not in draft.proposals and not asked.voluntary and operation not in draft.spared:
             lines += [f"# No tool is called like one for it: {asked.meaning}.", f"{operation} = {_value(_NO_TOOL)}"]
     return ["", f"[adapter.{draft.protocol}.unclaimed]", *lines]
@@ -240,6 +249,8 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     proposal = draft.proposals.get(operation)
     if operation in draft.spared:
         return [f"# {operation}: {asked.meaning}. It is unclaimed above: {_WAITS}."]
+    if proposal is None and draft.commands and asked.writes:
+        return [f"# {operation}: {asked.meaning}. The named commands below say how it writes."]
     if proposal is None:
         draft.left.append(
             f"{operation} ({asked.meaning}): no tool was found, so it is declared as unclaimed; bind one if there is one"
@@ -284,6 +295,34 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
         comments.append("# Only a guess; take the comment signs away when it is right.")
     # A binding that is only a guess, or lacks a result, stays a comment.
     return [*comments, *(f"# {line}" for line in (head, *body))]
+
+
+def _command(draft: Draft, name: str, effect: Effect) -> list[str]:
+    """Return the table of a named command."""
+    drawn = effect.command.draws
+    ranges = {
+        one: list(draw.values) or {"lowest": draw.lowest, "highest": draw.highest}
+        for one, draw in drawn.items()
+        if not _by_text(draw)
+    }
+    means = {
+        one: dict(zip(draw.values, draw.means, strict=True)) if _by_text(draw) else list(draw.means)
+        for one, draw in drawn.items()
+        if draw.means
+    }
+    return [
+        f"# proven: with each of {effect.calls} calls the device saw one {effect.operation}, as this table says.",
+        f"[adapter.{draft.protocol}.commands.{_key(name)}]",
+        *([f"draws = {_value(ranges)}"] if ranges else []),
+        *([f"means = {_value(means)}"] if means else []),
+        f"arguments = {_value(dict(effect.arguments))}",
+        f"effect.{effect.operation} = {_value(dict(effect.command.effect))}",
+    ]
+
+
+def _by_text(draw: Draw) -> bool:
+    """Tell whether a table of meanings has the values themselves as its names."""
+    return bool(draw.means) and all(isinstance(value, str) for value in draw.values)
 
 
 def _output(rule: Mapping[str, object]) -> object:

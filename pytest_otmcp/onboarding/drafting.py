@@ -16,6 +16,7 @@ from ..protocols.registry import protocols
 from ..subject.grammar import LONGEST_RECOVERY_S
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
+from .commands import look_for_commands
 from .document import Draft, switches_in
 from .experimenter import Experimenter
 from .guess import Guess
@@ -109,6 +110,15 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         experimenter = Experimenter(under_test, device, pack.late, pack.samples)
         try:
             proposals = await _try_operations(experimenter, pack, tools, registered(step), left, say)
+            performed = {
+                proposal.guess.tool for proposal in proposals.values() if proposal.proven or not proposal.tried
+            }
+            taken = performed | ({step.tool} if step is not None else set())
+            commands = await look_for_commands(experimenter, pack, tools, taken, say)
+            await look_without_device(experimenter, proposals)
+            for operation, known in protocols()[pack.protocol].operations.items():
+                if known.status:
+                    say(_line(operation, proposals.get(operation), {*known.needed}))
         finally:
             await experimenter.adapter.close()
     finally:
@@ -128,6 +138,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         transport_url=adapter.url,
         native=native,
         proposals=proposals,
+        commands=commands,
         connect=None if step is None else (step.tool, step.arguments),
         readiness=readiness,
         tools=tuple(tools),
@@ -185,7 +196,7 @@ async def _try_operations(
     failed: Sequence[str],
     say: Callable[[str], None],
 ) -> dict[str, Proposal]:
-    """Try every operation: first those that read, then those that write, at last what is said while the device is gone.
+    """Try every operation: first those that read, then those that write.
 
     What was read has to prove where the adapter leads before anything is written.
     """
@@ -206,10 +217,6 @@ async def _try_operations(
                 proposals[operation] = proposal
             if not known.status and (proposal is not None or not known.voluntary):
                 say(_line(operation, proposal, {*known.needed}))
-    await look_without_device(experimenter, proposals)
-    for operation, known in operations.items():
-        if known.status:
-            say(_line(operation, proposals.get(operation), {*known.needed}))
     return proposals
 
 

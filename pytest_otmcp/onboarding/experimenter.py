@@ -18,11 +18,12 @@ from ..subject.addressing import mentions_address
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding
 from ..trial.adapter_under_test import AdapterUnderTest, NoBindingError
+from ..trial.proving import ARRIVAL
 from .evidence import Found, Sample, find, no_result, same_value, tells_failure
 from .guess import Guess
 from .proposal import Proposal, Shown
 
-__all__ = ["Experiment", "Experimenter", "words_of"]
+__all__ = ["Experiment", "Experimenter", "NotProvenError", "words_of"]
 
 _TRIES = 4
 """Number of tools that are tried for an operation, the likeliest first."""
@@ -41,7 +42,7 @@ Another = tuple[Shown, object]
 """What another call of the same tool showed, and a value that is known to be in its answer."""
 
 
-class _NotProvenError(Exception):
+class NotProvenError(Exception):
     """Nothing may be written: the session may talk to any device; the message says why."""
 
 
@@ -110,14 +111,14 @@ class Experimenter:
             if self._writing:
                 await self._prove_session(guess)
             proposal = await experiment(self, guess)
-        except (_NotProvenError, NoBindingError) as problem:
+        except (NotProvenError, NoBindingError) as problem:
             return Proposal(guess=guess, proven=False, evidence=[f"not tried, nothing was written: {problem}"])
         self._refute(proposal)
         if proposal.proven:
             try:
                 await (self._write_further if self._writing else self._vary)(proposal)
                 await self._provoke(proposal)
-            except (_NotProvenError, NoBindingError) as problem:
+            except (NotProvenError, NoBindingError) as problem:
                 proposal.caveats.append(f"nothing further was tried: {problem}")
         return proposal
 
@@ -203,11 +204,11 @@ class Experimenter:
         """Make sure, before a tool may write, that the session talks to the mock device: with new random values.
 
         Raises:
-            _NotProvenError: it may talk to any device.
+            NotProvenError: it may talk to any device.
         """
         addressed = [proposal for proposal, _ in self._proofs() if mentions_address(proposal.guess.arguments)]
         if addressed and not mentions_address(guess.arguments) and self.adapter.adapter.connect is None:
-            raise _NotProvenError(
+            raise NotProvenError(
                 f"{addressed[0].guess.tool} is told with each call where the device is, this tool is not"
             )
         await self.adapter.open()
@@ -220,9 +221,24 @@ class Experimenter:
                 if again.returned or (again.proven and not proposal.returned):
                     self.adapter.cursor.proven = proposal.guess.operation
                     return
+            if not any(proposal.returned for proposal, _ in self._read) and await self._has_arrived():
+                self.adapter.cursor.proven = ARRIVAL
+                return
         finally:
             self._writing = True
-        raise _NotProvenError("no random value that was set at the mock device came back through the adapter")
+        raise NotProvenError("no random value that was set at the mock device came back through the adapter")
+
+    async def _has_arrived(self) -> bool:
+        """Tell whether a client arrived at the mock device since the session began, where that says who it is.
+
+        A client that connects only for a call is given one that reads.
+        """
+        session, arrival = self.adapter.cursor.session, protocols()[self.adapter.adapter.protocol].proof.arrival
+        if session is None or arrival is None:
+            return False
+        for proposal, experiment in self._read[:1]:
+            await experiment(self, proposal.guess)
+        return any(map(arrival, judged((await self.device.journal(session[1])).entries)))
 
     def _proofs(self) -> list[tuple[Proposal, Experiment]]:
         """Return the experiments that prove a session: those through which a random value came.
@@ -254,6 +270,15 @@ class Experimenter:
             words=failure if message is None else words_of(message),
             told=self._binding(guess, offset).told(inputs),
         )
+
+    async def write(self, guess: Guess, arguments: Mapping[str, object]) -> Shown:
+        """Call a tool that writes, for which no operation stands, with these arguments.
+
+        Raises:
+            NotProvenError: nothing was written: the session may talk to any device.
+        """
+        self._writing = True
+        return await self.call(guess, {}, **arguments)
 
     async def answer(
         self, guess: Guess, offset: Mapping[str, int], inputs: Mapping[str, object], *, writes: bool

@@ -13,7 +13,7 @@ from .guess import Guess
 from .input_schema import choice, kinds, properties, required, resolved
 from .pack import Hints, Pack
 
-__all__ = ["guess_steps", "guess_tools", "registered", "status_tools"]
+__all__ = ["commanding_tools", "guess_steps", "guess_tools", "registered", "status_tools"]
 
 _ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value"}
 """Inputs that operations of any protocol have, to the names that tools have for them; packs add their own inputs."""
@@ -153,6 +153,35 @@ def status_tools(pack: Pack, tools: Mapping[str, Mapping[str, Any]]) -> list[str
         and not required(resolved(tool, None))
         and not _may_change(name, tool, frozenset())
         and not _is_foreign(pack.protocol, name, tool)
+    ]
+
+
+_OWN_AFFAIRS = frozenset(
+    """delete remove erase clear purge flush rename register unregister subscribe unsubscribe disconnect connect reconnect add create
+    update modify configure config configuration settings import export save load restart reboot reset shutdown kill deploy install firmware ota
+    backup join permit pair upload device devices connection session history log cache alias""".split()
+)
+"""Words in the names of tools that change the adapter itself, or what cannot be changed back."""
+
+_ADDRESSES = ("address", "topic", "filter", "node", "nodes", "items")
+"""Inputs of operations that say where something is written: a tool that is told it has no vocabulary of its own."""
+
+
+def commanding_tools(pack: Pack, tools: Mapping[str, Mapping[str, Any]], taken: Set[str]) -> list[str]:
+    """Return the tools that command the plant by their names, and are not told where: no register, topic or node.
+
+    Args:
+        taken: tools that are left out.
+    """
+    inputs = {*" ".join(pack.arguments.get(input, "") for input in _ADDRESSES).split()}
+    return [
+        name
+        for name, tool in tools.items()
+        if name not in taken
+        and not _words(name) & _OWN_AFFAIRS
+        and _may_change(name, tool, frozenset())
+        and not _is_foreign(pack.protocol, name, tool)
+        and not {key.lower() for key in properties(resolved(tool, None))} & inputs
     ]
 
 

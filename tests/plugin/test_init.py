@@ -181,6 +181,69 @@ def test_an_adapter_that_connects_in_the_background_is_waited_for(
     assert (ready.tool, ready.answering.outcome[0].text) == ("connection_status", "(?m)^state: connected$")
 
 
+# A vocabulary of its own, and no tool that reads what the kit knows.
+LAMP = """
+import json, os
+from mcp.server import MCPServer
+from paho.mqtt.client import Client, CallbackAPIVersion
+
+server = MCPServer("lamp")
+client = Client(CallbackAPIVersion.VERSION2)
+client.connect(os.environ["MQTT_HOST"], int(os.environ["MQTT_PORT"]))
+client.loop_start()
+
+
+def tell(topic: str, **members: object) -> str:
+    client.publish(topic, json.dumps(members), qos=1).wait_for_publish(2)
+    return "ok"
+
+
+@server.tool(structured_output=False)
+def set_brightness(lamp: str, level: float) -> str:
+    \"\"\"Set the brightness, 0.0-1.0.\"\"\"
+    return tell(f"home/{lamp}/set", brightness=round(level * 254))
+
+
+@server.tool(structured_output=False)
+def turn_heating(on: bool) -> str:
+    return tell("home/heating/set", state="ON" if on else "OFF")
+
+
+@server.tool(structured_output=False)
+def trigger_show(length: int) -> str:
+    tell("home/show", step=1)
+    return tell("home/show", step=2)
+
+
+@server.tool(structured_output=False)
+def delete_device(name: str) -> str:
+    return tell("home/devices/delete", name=name)
+
+
+server.run()
+"""
+
+
+def test_tools_of_another_vocabulary_are_proposed_with_the_effect_that_the_device_saw(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
+) -> None:
+    (tmp_path / "lamp.py").write_text(LAMP, encoding="utf-8")
+    places = ("--env", "MQTT_HOST={host}", "--env", "MQTT_PORT={port}")
+    done = otmcp("init", "--protocol", "mqtt", *places, "--", *warm_start.python, "lamp.py")
+    assert done.returncode == 0, done.stderr
+    adapter = load_subject(tmp_path / "otmcp.toml").adapters["mqtt"]
+    found = {binding.tool: binding.command for binding in adapter.operations["publish"]}
+    # One of the others tells the device two things with each call, and one changes the adapter itself.
+    assert found.keys() == {"set_brightness", "turn_heating"}
+    dimmed, heated = found["set_brightness"], found["turn_heating"]
+    assert dimmed is not None
+    assert heated is not None
+    assert dimmed.effect == {"topic": "home/$lamp/set", "payload": {"brightness": "$level"}}
+    assert dimmed.draws["level"].means == (0, 64, 127, 254)
+    assert heated.effect == {"topic": "home/heating/set", "payload": {"state": "$on"}}
+    assert "publish" not in adapter.unclaimed
+
+
 QUICK = ("modbus", "mqtt", "opcua", "profibus")
 ENDPOINTS = {
     "mqtt": ["--env", "MQTT_URL={url}"],

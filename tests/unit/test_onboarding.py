@@ -565,6 +565,7 @@ def drafted(**known: Any) -> Draft:
         "transport_url": None,
         "native": True,
         "proposals": {},
+        "commands": {},
         "connect": None,
         "readiness": None,
         "tools": [],

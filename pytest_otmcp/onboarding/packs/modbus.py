@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ...protocols.exercise import Asked
-from ...protocols.journal import Entries
+from ...protocols.journal import Entries, JournalEntry
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
 from ..evidence import beyond
 from ..experimenter import Experimenter
@@ -161,6 +161,21 @@ def _requests(*functions: int) -> Find:
     return find
 
 
+_COMMANDS = {5: "write_coil", 6: "write_holding", 15: "write_coils", 16: "write_registers"}
+"""Functions of writes that a named command may have, to the operation that asks for them."""
+
+
+def _told(entry: JournalEntry) -> tuple[str, dict[str, object]] | None:
+    request = as_modbus(entry)
+    operation, values = _COMMANDS.get(request.get("function", 0)), request.get("values")
+    if operation is None or not values or request.get("unit") != 1:
+        return None
+    if len(values) == 1:
+        operation = {"write_coils": "write_coil", "write_registers": "write_holding"}.get(operation, operation)
+    told: dict[str, object] = {"address": request["address"]}
+    return operation, told | ({"values": list(values)} if operation.endswith("s") else {"value": values[0]})
+
+
 PACK = Pack(
     protocol="modbus",
     operations={
@@ -226,6 +241,7 @@ PACK = Pack(
     # The mock device's unit identifier.
     constants={r"^(unit|unit_id|unitid|slave|slave_id|slaveid)$": 1},
     names=("modbus", "modbus-tcp", "modbus_tcp", "tcp"),
+    told=_told,
     samples=_samples,
     errors={
         "illegal_address": (

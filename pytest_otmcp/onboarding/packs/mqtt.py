@@ -7,6 +7,9 @@ import base64
 from dataclasses import replace
 from typing import Any
 
+from ...protocols.journal import JournalEntry
+from ...protocols.mqtt.entries import as_mqtt, payload_of
+from ...protocols.mqtt.sparkplug_decoder import parse_topic
 from ...subject.answers import extract, read_answer
 from ...subject.model import OutputRule, placeholders
 from ..evidence import Sample, claims_success, find
@@ -177,6 +180,17 @@ async def _report(experimenter: Experimenter, guess: Guess, kind: str, further: 
     return experimenter.propose(guess, shown, proven=seen, seen=f"a {kind}" if seen else "")
 
 
+def _told(entry: JournalEntry) -> tuple[str, dict[str, object]] | None:
+    topic = as_mqtt(entry).get("topic")
+    try:
+        payload = payload_of(entry).decode()
+    except UnicodeDecodeError:
+        return None
+    return (
+        None if topic is None or parse_topic(topic) is not None else ("publish", {"topic": topic, "payload": payload})
+    )
+
+
 PACK = Pack(
     protocol="mqtt",
     operations={
@@ -238,6 +252,7 @@ PACK = Pack(
     },
     lists=frozenset({"metrics"}),
     names=("mqtt",),
+    told=_told,
     # A message without acknowledgement can still be on its way when the answer has come.
     late={"kind": "PUBLISH", "direction": "in"},
     errors={

@@ -8,6 +8,8 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from ...protocols.exercise import Asked
+from ...protocols.journal import JournalEntry
+from ...protocols.opcua.entries import as_opcua
 from ...protocols.opcua.oracle import children_of, folder_id, some_service
 from ..evidence import Sample, lists_in
 from ..experimenter import Experimenter
@@ -146,6 +148,13 @@ def _is_there(form: str, rule: Mapping[str, object], shown: Shown, expected: set
     return isinstance(found, list) and set(found) == expected
 
 
+def _told(entry: JournalEntry) -> tuple[str, dict[str, object]] | None:
+    nodes = as_opcua(entry).get("nodes", [])
+    if entry["kind"] != "Write" or len(nodes) != 1 or nodes[0]["attribute"] != "Value":
+        return None
+    return "write", {"node": nodes[0]["node_id"], "value": nodes[0]["value"]}
+
+
 PACK = Pack(
     protocol="opcua",
     operations={
@@ -194,6 +203,7 @@ PACK = Pack(
     },
     lists=frozenset({"nodes", "items", "arguments"}),
     names=("opcua", "opc-ua", "opc_ua"),
+    told=_told,
     samples=_samples,
     errors={
         "illegal_address": (r"BadNodeIdUnknown|0x8034",),

@@ -1,0 +1,165 @@
+"""The search for named commands: tools with a vocabulary of their own that tell the device one thing with each call."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Set
+from typing import Any
+
+from ..protocols.oracle import state_changing
+from ..protocols.registry import protocols
+from .effects import Call, Effect, effect_of
+from .evidence import tells_failure
+from .experimenter import Experimenter, NotProvenError
+from .guess import Guess
+from .input_schema import kinds, properties, required, resolved
+from .matching import commanding_tools
+from .pack import Pack
+
+__all__ = ["look_for_commands"]
+
+_TOOLS, _OPTIONS, _VALUES = 12, 3, 8
+"""At most so many tools are tried, so many arguments that a tool does not require, and so many values of an argument."""
+
+_RANGE = re.compile(r"(-?\d+(?:\.\d+)?)\s*(?:-|\u2013|to|\.\.\.?|\u2026)\s*(-?\d+(?:\.\d+)?)")
+"""A range in the description of an argument."""
+
+_PLACE = re.compile(
+    r"host|url|uri|address|addr|ip|port|endpoint|path|file|user(name)?|password|token|topic", re.IGNORECASE
+)
+"""Names of arguments that no invented text may be given."""
+
+
+async def look_for_commands(
+    experimenter: Experimenter,
+    pack: Pack,
+    tools: Mapping[str, Mapping[str, Any]],
+    taken: Set[str],
+    say: Callable[[str], None],
+) -> dict[str, Effect]:
+    """Call each tool whose name says that it changes something, and that no operation needs, with several values.
+
+    Args:
+        taken: names of tools that are not called.
+    """
+    found: dict[str, Effect] = {}
+    if pack.told is None:
+        return found
+    for name in commanding_tools(pack, tools, taken)[:_TOOLS]:
+        try:
+            effect = await _effect(experimenter, pack, name, tools[name])
+        except NotProvenError as problem:
+            say(f"  {name:<15} (not tried as a command, nothing was written: {problem})")
+            return found
+        if effect is not None and not any(_alike(effect, other) for other in found.values()):
+            found[name] = effect
+            say(
+                f"  {name:<15} (a command, proven: with each of {effect.calls} calls the device saw one {effect.operation})"
+            )
+    return found
+
+
+def _alike(one: Effect, other: Effect) -> bool:
+    """Tell whether the kit could not choose between two commands, because they do the same."""
+    return one.operation == other.operation and any(
+        other.command.arguments(inputs) is not None for inputs in one.command.examples()
+    )
+
+
+async def _effect(experimenter: Experimenter, pack: Pack, name: str, tool: Mapping[str, Any]) -> Effect | None:
+    """Return what a tool does with its required arguments, or with one more; None where the device was not told one thing."""
+    schema = resolved(tool, None)
+    arguments = properties(schema)
+    numbers = [argument for argument, one in arguments.items() if kinds(one) & {"integer", "number"}]
+    if len(numbers) == 1 and not arguments[numbers[0]].get("description"):
+        # What the tool says of a range is about its only number.
+        arguments = {**arguments, numbers[0]: {**arguments[numbers[0]], "description": tool.get("description")}}
+    known = {argument: _values(argument, one) for argument, one in arguments.items()}
+    needed = required(schema)
+    if any(not known.get(argument) for argument in needed):
+        return None
+    more = [argument for argument in known if argument not in needed and known[argument]][:_OPTIONS]
+    for added in ([], *([argument] for argument in more)):
+        values = {argument: known[argument] for argument in (*needed, *added)}
+        calls = await _calls(experimenter, pack, name, values)
+        if calls is not None:
+            ranges = {one: bounds for one in values if (bounds := _whole_range(arguments[one])) is not None}
+            documents = protocols()[pack.protocol].operations[calls[0].operation].documents
+            return effect_of(name, calls, ranges, documents)
+    return None
+
+
+async def _calls(
+    experimenter: Experimenter, pack: Pack, name: str, values: Mapping[str, list[Any]]
+) -> list[Call] | None:
+    """Call a tool twice with the first value of each argument, and once with each other one; None where a call tells the device another
+    number of things than one, or fails."""
+    first = {argument: some[0] for argument, some in values.items()}
+    others = ({**first, argument: value} for argument, some in values.items() for value in some[1:])
+    guess = Guess(
+        operation="",
+        tool=name,
+        score=0.0,
+        arguments={argument: f"${argument}" for argument in first},
+        convert={},
+        missing=(),
+        trials={},
+    )
+    calls: list[Call] = []
+    for arguments in (first, first, *others):
+        shown = await experimenter.write(guess, arguments)
+        told = [pack.told(entry) for entry in state_changing(shown.entries)] if pack.told is not None else []
+        if shown.message is None or tells_failure(shown.message) or len(told) != 1 or told[0] is None:
+            if len(calls) < 2:
+                return None
+            # It takes no such value.
+            continue
+        operation, inputs = told[0]
+        calls.append(Call(arguments=arguments, operation=operation, inputs=inputs))
+    return calls
+
+
+def _values(name: str, described: Mapping[str, Any]) -> list[Any]:
+    """Return values that an argument may have; none where nobody can know any."""
+    stated = described.get("enum") or ([described["const"]] if "const" in described else None)
+    if stated:
+        return list(stated)[:_VALUES]
+    types = kinds(described)
+    if "boolean" in types:
+        return [True, False]
+    if types & {"integer", "number"}:
+        bounds = _bounds(described)
+        if bounds is None:
+            return [1, 2, 10, 100, 300] if "integer" in types else [0.25, 0.5, 1.0, 10.0, 100.0]
+        low, high = bounds
+        points = (low, low + (high - low) / 4, low + (high - low) / 2, high)
+        return list(dict.fromkeys(map(int, points) if "integer" in types else (round(point, 6) for point in points)))
+    if "string" in types and not _PLACE.search(name):
+        examples = described.get("examples")
+        return list(examples)[:_VALUES] if isinstance(examples, list) and examples else list(_texts(described))
+    return []
+
+
+def _texts(described: Mapping[str, Any]) -> Iterator[str]:
+    default = described.get("default")
+    if isinstance(default, str) and default:
+        yield default
+    yield from ("otmcp-one", "otmcp-two")
+
+
+def _bounds(described: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Return the lowest and the highest value of a number that its schema, or its description, names."""
+    alternatives = (described, *(one for one in described.get("anyOf") or [] if isinstance(one, dict)))
+    for one in alternatives:
+        low, high = one.get("minimum"), one.get("maximum")
+        if isinstance(low, int | float) and isinstance(high, int | float) and low < high:
+            return low, high
+    said = _RANGE.search(str(described.get("description") or ""))
+    if said is not None and float(said[1]) < float(said[2]):
+        return float(said[1]), float(said[2])
+    return None
+
+
+def _whole_range(described: Mapping[str, Any]) -> tuple[int, int] | None:
+    bounds = _bounds(described)
+    return None if bounds is None or "integer" not in kinds(described) else (int(bounds[0]), int(bounds[1]))
