@@ -81,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
 
     from ..onboarding.document import Draft, write_document
     from ..onboarding.drafting import describe_launch, draft
+    from ..onboarding.known_causes import find_advice, find_library_advice
     from ..onboarding.pack import load_pack
     from ..plant.mock_device import MockDevice
     from ..session.loop import LoopThread
@@ -112,9 +113,11 @@ def run(args: argparse.Namespace) -> int:
     try:
         drafted = loop.run(work())
     except SubjectError as failure:
-        raise Refusal(
-            f"no proposal ('otmcp doctor' with the same COMMAND may know why): {failure}", quotes=True
-        ) from None
+        # One that started and reached nothing has other causes than one that did not start.
+        started = failure.code in ("not_proven", "connect_step")
+        found = find_library_advice(str(failure), pack.causes) if started else find_advice(str(failure), pack.causes)
+        advice = [f"-> {one.cause} {one.remedy}" for one in found]
+        raise Refusal("\n  ".join([f"no proposal: {failure}", *advice]), quotes=True) from None
     finally:
         loop.close()
     drafted = replace(drafted, command=[_from_file(part, args.out.parent) for part in drafted.command])

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-__all__ = ["Advice", "KnownCause", "find_advice"]
+__all__ = ["Advice", "KnownCause", "find_advice", "find_library_advice"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,6 +129,11 @@ def find_advice(words: str, causes: Iterable[KnownCause] = ()) -> list[Advice]:
         causes: further known causes, such as those of a protocol's libraries; they are more specific than the others.
     """
     return list(_advice(words, (*causes, *_CAUSES)))
+
+
+def find_library_advice(words: str, causes: Iterable[KnownCause]) -> list[Advice]:
+    """Return the advice for an adapter that started, and whose calls failed with these words: causes in its protocol's libraries alone."""
+    return list(_advice(words, causes))
 
 
 def _advice(words: str, causes: Iterable[KnownCause]) -> Iterator[Advice]:

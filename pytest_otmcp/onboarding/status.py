@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..protocols.registry import protocols
+from ..subject.answers import read_answer
 from .evidence import claims_success, failure_rules, turned_false
 from .experimenter import Experimenter, words_of
 from .guess import Guess
@@ -19,7 +20,8 @@ async def reach(experimenter: Experimenter, guess: Guess) -> Proposal:
     shown = await experimenter.call(guess, {})
     asked = {entry["seq"] for entry in shown.entries if entry["request"]}
     answered = any(entry["answers"] in asked for entry in shown.entries)
-    proven = answered and shown.message is not None and claims_success(shown.message)
+    # A status that is not good may still say of the device alone that it is there: what it says without the device decides.
+    proven = answered and shown.message is not None and not read_answer(shown.message, "text")[2]
     seen = "an exchange" if answered else "nothing"
     evidence = [f"the device saw {seen}" if proven else f"the device saw {seen}; the answer: {shown.words}"]
     return Proposal(guess=guess, proven=proven, evidence=evidence, good=shown.message)
@@ -64,7 +66,7 @@ def _judge_status(proposal: Proposal, tells: str | None, message: Mapping[str, o
         return
     if tells is not None and (place := turned_false(good, message)) is not None:
         proposal.form, proposal.outputs[tells] = place.form, place.rule
-    elif claims_success(message) and not failure_rules(message, [good], "text"):
+    elif not claims_success(good) or (claims_success(message) and not failure_rules(message, [good], "text")):
         proposal.proven = False
         proposal.evidence = [f"with the device gone it says nothing of that: {words_of(message)}"]
         return

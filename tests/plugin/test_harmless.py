@@ -162,7 +162,7 @@ def test_init_writes_nothing_and_says_where_the_adapter_was(
     command = ("--", *warm_start.python, str(WANDERING), protocol, "misspelt")
     done = otmcp("init", "--protocol", protocol, *variables, *command)
     assert done.returncode == 1, done.stdout + done.stderr
-    assert "may know why): the adapter does not talk to the mock device at " in done.stderr
+    assert "no proposal: the adapter does not talk to the mock device at " in done.stderr
     assert "Nothing was written." in done.stderr
     assert not (tmp_path / "otmcp.toml").exists()
     assert elsewhere.touched
