@@ -116,8 +116,9 @@ def run(args: argparse.Namespace) -> int:
         # One that started and reached nothing has other causes than one that did not start.
         started = failure.code in ("not_proven", "connect_step")
         found = find_library_advice(str(failure), pack.causes) if started else find_advice(str(failure), pack.causes)
-        advice = [f"-> {one.cause} {one.remedy}" for one in found]
-        raise Refusal("\n  ".join([f"no proposal: {failure}", *advice]), quotes=True) from None
+        for advice in found:
+            tell(f"  -> {advice.cause} {advice.remedy}")
+        raise Refusal(f"no proposal: {failure}", quotes=True) from None
     finally:
         loop.close()
     drafted = replace(drafted, command=[_from_file(part, args.out.parent) for part in drafted.command])

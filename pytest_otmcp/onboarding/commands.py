@@ -115,7 +115,7 @@ async def _calls(
             # It takes no such value.
             continue
         operation, inputs = told[0]
-        calls.append(Call(arguments=arguments, operation=operation, inputs=inputs))
+        calls.append(Call(arguments=arguments, operation=operation, inputs=inputs, answer=shown.message))
     return calls
 
 

@@ -16,7 +16,7 @@ from ..subject.answers import interpret, read_answer
 from ..subject.command import Draw
 from ..subject.model import Answering
 from .effects import Effect
-from .evidence import CONNECT_FAILED, CONNECTION_LOST, failure_rules, known_errors
+from .evidence import CONNECT_FAILED, CONNECTION_LOST, failure_rules, known_errors, prose_rule
 from .proposal import Proposal
 from .readiness import Readiness
 
@@ -151,7 +151,7 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         if operation in draft.proposals or not protocols()[draft.protocol].operations[operation].voluntary:
             lines += ["", *_binding(draft, operation, form)]
     for name, effect in draft.commands.items():
-        lines += ["", *_command(draft, name, effect)]
+        lines += ["", *_command(draft, name, effect, form)]
     # A comment may repeat the adapter's words: it stays one line, of characters that TOML allows in a comment.
     return "\n".join(printable(line) if line.startswith("#") else line for line in lines) + "\n"
 
@@ -210,17 +210,36 @@ def _form(proposals: Iterable[Proposal]) -> str:
     return "json" if any(objects) else "text"
 
 
-def _answer_rules(draft: Draft, form: str) -> list[str]:
-    lines = [f"answer = {_value(form)}"]
+def _outcome_rules(draft: Draft, form: str) -> list[dict[str, object]]:
+    """Return the rules that tell the failures that were tried from successes."""
     proven = [proposal for proposal in draft.proposals.values() if proposal.proven]
     successes = [proposal.good for proposal in proven if proposal.good is not None]
-    outcome: list[dict[str, object]] = []
+    failures = [failure for proposal in proven for _, failure in proposal.failures]
+    rules = [rule for failure in failures for rule in failure_rules(failure, successes, form)]
+    return [rule for index, rule in enumerate(rules) if rule not in rules[:index]]
+
+
+def _prose(draft: Draft, success: Mapping[str, object] | None, form: str) -> list[str]:
+    """Return the entry of a tool that writes and answers in sentences, for failures that it tells in sentences too."""
+    rule = None if draft.native or success is None else prose_rule(success)
+    if rule is None:
+        return []
+    return [
+        "# It answers in sentences, and failures may be sentences as well.",
+        *_rules("outcome", [*_outcome_rules(draft, form), rule]),
+    ]
+
+
+def _answer_rules(draft: Draft, form: str) -> list[str]:
+    lines = [f"answer = {_value(form)}"]
+    outcome = _outcome_rules(draft, form)
+    proven = [proposal for proposal in draft.proposals.values() if proposal.proven]
+    successes = [proposal.good for proposal in proven if proposal.good is not None]
     errors: list[dict[str, str]] = []
     patterns = {"connect_failed": CONNECT_FAILED, "connection_lost": CONNECTION_LOST, **draft.errors}
     failures = [(proposal, *failed) for proposal in proven for failed in proposal.failures]
     for tried, code, failure in failures:
         rules = failure_rules(failure, successes, form)
-        outcome += [rule for rule in rules if rule not in outcome]
         # An adapter may not have noticed yet that the device is gone.
         if not rules and code != "connect_failed" and interpret(failure, Answering(form=form)).success:
             draft.left.append(
@@ -269,6 +288,8 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
         body.append(f"as = {_value(dict(guess.convert))}")
     if not draft.native and proposal.form is not None and proposal.form != form:
         body.append(f"answer = {_value(proposal.form)}")
+    if asked.writes:
+        body += _prose(draft, proposal.good, form)
     if proposal.outputs:
         body.append(f"result = {_value({name: _output(rule) for name, rule in proposal.outputs.items()})}")
     lacking = [name for name in asked.needed if name not in proposal.outputs]
@@ -297,7 +318,7 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     return [*comments, *(f"# {line}" for line in (head, *body))]
 
 
-def _command(draft: Draft, name: str, effect: Effect) -> list[str]:
+def _command(draft: Draft, name: str, effect: Effect, form: str) -> list[str]:
     """Return the table of a named command."""
     drawn = effect.command.draws
     ranges = {
@@ -316,6 +337,7 @@ def _command(draft: Draft, name: str, effect: Effect) -> list[str]:
         *([f"draws = {_value(ranges)}"] if ranges else []),
         *([f"means = {_value(means)}"] if means else []),
         f"arguments = {_value(dict(effect.arguments))}",
+        *_prose(draft, effect.good, form),
         f"effect.{effect.operation} = {_value(dict(effect.command.effect))}",
     ]
 

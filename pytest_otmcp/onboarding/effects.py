@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..core.strict_json import parse_strict, same_json
@@ -23,11 +23,13 @@ class Call:
     Attributes:
         arguments: of the tool.
         operation, inputs: what the device was told, as an operation of the protocol that writes.
+        answer: of the tool.
     """
 
     arguments: Mapping[str, Any]
     operation: str
     inputs: Mapping[str, Any]
+    answer: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,12 +41,14 @@ class Effect:
         arguments: template of the tool's arguments.
         command: the values that may be drawn, and the template of the operation's inputs.
         calls: how many calls show it.
+        good: the answer to one of them.
     """
 
     operation: str
     arguments: Mapping[str, Any]
     command: Command
     calls: int
+    good: Mapping[str, object]
 
 
 def effect_of(
@@ -101,7 +105,9 @@ def effect_of(
     if not all(_explains(command, call, documents) for call in like_first):
         return None
     arguments = {name: f"${name}" if name in draws else value for name, value in first.arguments.items()}
-    return Effect(operation=first.operation, arguments=arguments, command=command, calls=len(like_first))
+    return Effect(
+        operation=first.operation, arguments=arguments, command=command, calls=len(like_first), good=first.answer
+    )
 
 
 def _in_document(place: Place) -> bool:

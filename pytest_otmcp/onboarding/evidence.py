@@ -26,6 +26,7 @@ __all__ = [
     "known_errors",
     "lists_in",
     "no_result",
+    "prose_rule",
     "same_value",
     "tells_failure",
     "turned_false",
@@ -317,6 +318,25 @@ def failure_rules(
         if not interpret(failure, answering).success and all(interpret(good, answering).success for good in successes):
             return [rule]
     return []
+
+
+_SAYS_SO = r"(?i)^\W*([\w ]{0,40}\b)?(error|failed|failure|exception|unable to|cannot|could not)\b|^\W*(invalid|not connected)\b"
+"""How a sentence begins that tells of a failure."""
+
+
+def prose_rule(success: Mapping[str, object]) -> dict[str, str] | None:
+    """Return the outcome rule for failures of a tool whose successful answer is a sentence; None for one that answers otherwise.
+
+    A tool that answers in sentences is likely to tell of its failures so, even of those that nobody could bring about here.
+    """
+    _, text, _ = read_answer(success, "text")
+    if (
+        not re.search(r"[^\W\d_]{2,}\W+[^\W\d_]{2,}", text)
+        or text.lstrip()[:1] in ("{", "[")
+        or re.search(_SAYS_SO, text)
+    ):
+        return None
+    return {"text": _SAYS_SO, "then": "failure"}
 
 
 def claims_success(message: Mapping[str, object]) -> bool:

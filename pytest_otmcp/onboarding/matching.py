@@ -40,7 +40,8 @@ _CHANGES = frozenset(
 
 _MAY_CHANGE = frozenset(
     """add create update modify change rename register unregister start stop restart reset enable disable open close pause
-    resume cancel abort lock unlock activate deactivate configure import save load move turn press call trigger command run""".split()
+    resume cancel abort lock unlock activate deactivate configure import save load move turn press call trigger command run
+    switch adjust dim blink play say speak announce notify display""".split()
 )
 """Words that change something unless the name begins with a word of ``_READS``: ``get_start_time`` starts nothing."""
 

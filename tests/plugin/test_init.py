@@ -404,6 +404,7 @@ def test_an_adapter_that_does_not_start_is_no_proposal(otmcp: Otmcp, tmp_path: P
     assert done.returncode == 1
     # Without the command it would examine the reference adapters.
     assert done.stderr.startswith("otmcp: no proposal: the adapter exited with code 1")
+    assert "-> It was written for version 1 of the MCP SDK" in done.stdout
     # What the adapter wrote stays lines, each marked, without those that only underline.
     assert "\n    | ModuleNotFoundError: No module named 'mcp.server.fastmcp'" in done.stderr
     assert "^^^" not in done.stderr
