@@ -25,6 +25,9 @@ __all__ = ["Draft", "switches_in", "write_document"]
 _LONG_S, _MOST_S = 3.0, 30.0
 """Seconds: a call that took longer needs another deadline than the default of 5, and no certificate is given for a longer one."""
 
+_LONG_START_S = 6.0
+"""A start that took longer may take longer than the default of 30 where several start at once."""
+
 _WAITS = "receives by a call that waits"
 _NO_TOOL, _NO_SWITCH = "otmcp init found no tool for it", "otmcp init does not know how writes are disabled"
 """Reasons for what is unclaimed; those of what was not found say who has looked."""
@@ -50,6 +53,7 @@ class Draft:
         readiness: the tool that each start waits for; None where no tool spoke of connecting.
         tools: names of all its tools.
         switches: names of variables that its tools mention and that may disable writes.
+        started_s: how long its start took, with the handshake.
         longest_s: how long the longest call took that was answered.
         errors: error code to patterns of the texts in which the protocol's libraries report it.
         left: sentences on the entries that the user has to fill in; :func:`write_document` adds to it.
@@ -70,6 +74,7 @@ class Draft:
     connect: tuple[str, Mapping[str, object]] | None
     readiness: Readiness | None
     tools: Sequence[str]
+    started_s: float
     longest_s: float
     errors: Mapping[str, Sequence[str]]
     switches: Sequence[str] = ()
@@ -118,6 +123,11 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         lines.append(f"files = {_value(dict(draft.files))}")
     if draft.era is not None:
         lines.append(f"era = {_value(draft.era)}")
+    if draft.started_s > _LONG_START_S:
+        lines += [
+            f"# Its start took {draft.started_s:.1f} s; the default is 30, and a busy machine takes longer.",
+            f"start_timeout_s = {10.0 * math.ceil(draft.started_s / 2.0):.1f}",
+        ]
     if draft.longest_s > _LONG_S:
         lines += [
             f"# The longest call took {draft.longest_s:.1f} s; the default is 5.",

@@ -91,6 +91,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         assert under_test.session is not None
         tools = dict(under_test.session.tools)
         name, version = under_test.session.server_name, under_test.session.server_version
+        started_s = (under_test.session.ready_ns - under_test.session.spawned_ns) / 1e9
         called = " ".join(filter(None, (name or "the adapter", version)))
         say(f"{called}: {counted(len(tools), 'tool')}: {', '.join(tools)}")
         adapter = replace(adapter, era="legacy" if under_test.legacy else adapter.era)
@@ -143,6 +144,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         readiness=readiness,
         tools=tuple(tools),
         switches=switches_in(str(tool.get("description") or "") for tool in tools.values()),
+        started_s=started_s,
         longest_s=experimenter.longest_s,
         errors=pack.errors,
         left=[*_nothing_valid(experimenter), *left],

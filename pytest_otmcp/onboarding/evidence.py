@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -307,7 +307,7 @@ def failure_rules(
         return []
     rules: list[dict[str, Any]] = []
     if document is not None and not isinstance(document, str):
-        rules += [{"path": path, "then": "failure"} for path in _FAILING_PATHS]
+        rules += [{"path": path, "then": "failure"} for path in (*_FAILING_PATHS, *_failing_members(document))]
     first = _FAILING_WORDS.match(text)
     if first is not None:
         rules.append({"text": f"(?i)^\\W*{first[1].lower()}", "then": "failure"})
@@ -318,6 +318,20 @@ def failure_rules(
         if not interpret(failure, answering).success and all(interpret(good, answering).success for good in successes):
             return [rule]
     return []
+
+
+def _failing_members(value: object, path: str = "") -> Iterator[str]:
+    """Yield paths to members that are called an error, below names and numbers that other answers do not have."""
+    members: Iterable[tuple[str, object]] = ()
+    if isinstance(value, Mapping):
+        members = ((name if _PLAIN.fullmatch(name) else "*", member) for name, member in value.items())
+    elif isinstance(value, list):
+        members = (("[]", member) for member in value)
+    for name, member in members:
+        place = name if not path else f"{path}{name}" if name == "[]" else f"{path}.{name}"
+        if name in ("error", "errors", "exception") and member:
+            yield f"{place} | [0]" if re.search(r"\*|\[\]", place) else place
+        yield from _failing_members(member, place)
 
 
 _SAYS_SO = r"(?i)^\W*([\w ]{0,40}\b)?(error|failed|failure|exception|unable to|cannot|could not)\b|^\W*(invalid|not connected)\b"

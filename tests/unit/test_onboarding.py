@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,6 +22,7 @@ from pytest_otmcp.onboarding.evidence import (
     known_errors,
     lists_in,
     no_result,
+    prose_rule,
     same_value,
     turned_false,
 )
@@ -475,15 +477,50 @@ def test_the_place_that_says_no_without_the_device_is_found(
             "texts",
             [{"path": "[?error]", "then": "failure"}],
         ),
+        (
+            answer("x", {"values": {"ns=2;i=9": {"error": "no such node"}}}),
+            answer("x", {"values": {"ns=2;i=1": 40.5}}),
+            "structured",
+            [{"path": "values.*.error | [0]", "then": "failure"}],
+        ),
         (answer("nothing special"), answer("nothing special"), "text", []),
         ({"result": {"isError": True, "content": []}}, answer("ok"), "text", []),
     ],
-    ids=["prose", "list of errors", "says so itself", "status", "block", "not to be told", "isError tells"],
+    ids=[
+        "prose",
+        "list of errors",
+        "says so itself",
+        "status",
+        "block",
+        "below a name",
+        "not to be told",
+        "isError tells",
+    ],
 )
 def test_a_rule_tells_the_failure_from_the_success(
     failure: Mapping[str, Any], success: Mapping[str, Any], form: str, expected: list[dict[str, Any]]
 ) -> None:
     assert failure_rules(failure, [success], form) == expected
+
+
+@pytest.mark.parametrize(
+    ("success", "failure"),
+    [
+        ("Message published to topic a/b", "Failed to publish message to topic 'a/b' (Timeout or Error)"),
+        ("Message published successfully", "MQTT connection or publish error: [Errno 111] Connection refused"),
+        ("Wrote 40 to register 5", "Error: QoS must be 0, 1, or 2."),
+    ],
+)
+def test_a_tool_that_answers_in_sentences_is_given_a_rule_for_failures_told_so(success: str, failure: str) -> None:
+    rule = prose_rule(answer(success))
+    assert rule is not None
+    assert re.search(rule["text"], failure)
+    assert not re.search(rule["text"], success)
+
+
+@pytest.mark.parametrize("success", ["40.5", "ok", '{"error": null}', "Error count is 0 now"])
+def test_a_tool_that_answers_otherwise_is_not(success: str) -> None:
+    assert prose_rule(answer(success)) is None
 
 
 @pytest.mark.parametrize(
@@ -569,6 +606,7 @@ def drafted(**known: Any) -> Draft:
         "connect": None,
         "readiness": None,
         "tools": [],
+        "started_s": 0.1,
         "longest_s": 0.1,
         "errors": {},
     }
