@@ -46,12 +46,14 @@ class Device(Protocol):
 
     Attributes:
         running: True while it serves.
+        faulty: True while a fault plan or a delay is in force.
         accepting_ns: monotonic time since which it serves. A TCP port accepts connections then. A UDP port or a pseudo
             terminal accepts nothing; there it is the time at which the device said that it reads its telegrams.
         sessions: the sessions of adapters that it is there for; its journal says of each entry whose it is.
     """
 
     running: bool
+    faulty: bool
     accepting_ns: int
     sessions: Sessions
 

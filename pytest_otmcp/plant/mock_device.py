@@ -104,6 +104,7 @@ class MockDevice:
     Attributes:
         endpoints: see :class:`~pytest_otmcp.plant.device.Device`.
         running: True while it serves.
+        faulty: see :class:`~pytest_otmcp.plant.device.Device`.
         accepting_ns: monotonic time at which its launcher said that it serves.
         sessions: see :class:`~pytest_otmcp.plant.device.Device`.
     """
@@ -117,6 +118,7 @@ class MockDevice:
         self._died: KitError | None = None
         self.endpoints: Mapping[str, Endpoint] = {}
         self.running = False
+        self.faulty = False
         self.accepting_ns = 0
         self.sessions = Sessions()
 
@@ -235,6 +237,7 @@ class MockDevice:
             ExhaustedError: another program has taken its port; it can be started once that program has ended.
         """
         await self._command("start")
+        self.faulty = False
         await self._ready()
 
     async def _command(self, word: str) -> None:
@@ -342,6 +345,7 @@ class MockDevice:
 
     async def fault(self, *rules: Mapping[str, object]) -> None:
         await self.ask("fault", rules=[dict(rule) for rule in rules])
+        self.faulty = bool(rules)
 
     async def delay(self, seconds: float) -> None:
         """Give every answer so many seconds late from now on; 0 ends that. It takes the place of the fault plan."""
@@ -351,6 +355,7 @@ class MockDevice:
     async def reset(self) -> None:
         """Bring back start-up values without faults, with the simulation paused; connections and journal stay."""
         await self.ask("reset")
+        self.faulty = False
         await self.ask("pause")
 
     async def tick(self, steps: int = 1) -> None:

@@ -35,6 +35,7 @@ class TappedDevice:
         tap: the tap, for fault rules.
         endpoints: the tap, under the name of the target.
         running: True while the tap hands on what comes.
+        faulty: True while the tap delays what passes.
         accepting_ns: monotonic time since which it does.
     """
 
@@ -44,6 +45,7 @@ class TappedDevice:
         self._target = target
         self.endpoints: Mapping[str, Endpoint] = {}
         self.running = False
+        self.faulty = False
         self.accepting_ns = 0
         self.sessions = Sessions()
 
@@ -172,10 +174,12 @@ class TappedDevice:
         """Let every frame of the device pass so many seconds late from now on; 0 ends that."""
         rule = FaultRule(action=Action.DELAY, direction="out", times=None, seconds=seconds)
         self.tap.inject(*([rule] if seconds else ()))
+        self.faulty = bool(seconds)
 
     async def reset(self) -> None:
         """End the faults; what the device holds is left as it is."""
         self.tap.inject()
+        self.faulty = False
 
     async def tick(self, steps: int = 1) -> None:
         """Do nothing: the kit does not simulate what is behind a device of the user's own."""

@@ -340,8 +340,9 @@ class AdapterUnderTest:
             await self._connect()
             await self._wait_until_ready()
         except SubjectError as failure:
-            # Without its device an adapter may have failed to start for that reason.
-            self._start_failure = failure if self.device.running else None
+            # Without its device, or at one that refuses it as the kit has told it to, an adapter may have failed to start for that reason.
+            well = self.device.running and not self.device.faulty
+            self._start_failure = failure if well else None
             await self.close()
             raise
 

@@ -6,13 +6,14 @@ import asyncio
 import os
 import signal
 import socket
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.errors import KitError
+from pytest_otmcp.errors import KitError, SubjectError
 from pytest_otmcp.plant.endpoint import Endpoint
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.subject import load_subject
@@ -133,6 +134,44 @@ AT_TCP = {"host": "127.0.0.1", "port": "44818", "url": "enip://127.0.0.1:44818"}
 )
 async def test_placeholders_stand_for_every_endpoint(endpoints: list[Endpoint], expected: dict[str, str]) -> None:
     assert endpoint_values("enip", {endpoint.name: endpoint for endpoint in endpoints}) == expected
+
+
+# An adapter that does not start where its broker refuses it.
+EXACTING = """
+import sys
+from mcp.server import MCPServer
+from paho.mqtt.client import CallbackAPIVersion, Client
+
+client = Client(CallbackAPIVersion.VERSION2)
+granted = []
+client.on_connect = lambda client, userdata, flags, reason, properties: granted.append(not reason.is_failure)
+client.connect(sys.argv[1], int(sys.argv[2]))
+while not granted:
+    client.loop(0.1)
+if not granted[0]:
+    sys.exit("refused")
+client.loop_start()
+MCPServer("exacting").run()
+"""
+
+
+async def test_a_start_that_failed_at_a_device_with_a_fault_is_tried_again_without_it(tmp_path: Path) -> None:
+    (tmp_path / "exacting.py").write_text(EXACTING)
+    subject = tmp_path / "otmcp.toml"
+    subject.write_text(
+        '[subject]\nname = "x"\nversion = "1"\n[adapter.mqtt]\n'
+        f'command = ["{sys.executable}", "{{dir}}/exacting.py", "{{host}}", "{{port}}"]\n[adapter.mqtt.bind]\n'
+    )
+    async with running("mqtt") as device:
+        under_test = AdapterUnderTest(load_subject(subject).adapters["mqtt"], "rw", device, BenchOptions())
+        try:
+            await device.fault({"packet": "CONNECT", "action": {"reason_code": 0x87}})
+            with pytest.raises(SubjectError, match="refused"):
+                await under_test.open()
+            await device.fault()
+            await under_test.open()
+        finally:
+            await under_test.close()
 
 
 @pytest.mark.usefixtures("third_parties")
