@@ -245,6 +245,10 @@ def _declares_nothing(operation: str, effect: Mapping[str, str]) -> Mapping[str,
     return {}
 
 
+def _nothing_wider(name: str, kept: object, asked: object) -> bool:
+    return False
+
+
 def _nothing_to_say(entries: Entries, found: Entries) -> str:
     return ""
 
@@ -269,6 +273,7 @@ class OtProtocol:
         lists: further keys in a subject file whose values are lists of strings, each with its meaning.
         declares: returns what a named command adds to these lists, from the operation that it performs and the texts of its effect, with
             ``+`` in the place of each level, between slashes, that an argument has a part in.
+        covers: tells whether a call with one value of an input, of this name, is about all that another one with another value is about.
         framing: decoding of recorded bytes; None when only the mock can be the witness.
         unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
             asked for nothing.
@@ -332,6 +337,7 @@ class OtProtocol:
     choices: tuple[Choice, ...] = ()
     lists: Mapping[str, str] = field(default_factory=dict)
     declares: Callable[[str, Mapping[str, str]], Mapping[str, Sequence[str]]] = _declares_nothing
+    covers: Callable[[str, object, object], bool] = _nothing_wider
     framing: Framing | None = None
     onboarding: str | None = None
     title: Callable[[JournalEntry], str] | None = None

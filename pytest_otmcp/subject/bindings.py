@@ -53,6 +53,7 @@ def _binding(table: Mapping[str, Any], key: str, answering: Answering) -> Bindin
         names=table["names"],
         convert=table["as"],
         max_age_s=_max_age_s(table, key, answering),
+        keep={name: output_rule(rule) for name, rule in table["keep"].items()},
     )
 
 

@@ -61,8 +61,9 @@ def stored_bindings(adapter: Adapter, operation: str) -> list[dict[str, Any]] | 
 
 def _stored(binding: Binding) -> dict[str, Any]:
     stored = asdict(binding)
-    if binding.command is None:
-        del stored["command"]
+    for name in ("command", "keep"):
+        if not stored[name]:
+            del stored[name]
     return stored
 
 

@@ -156,6 +156,7 @@ OUTPUT_TABLE = Table(
     }
 )
 _OUTPUT = Named("output", ByType(str, PATH, OUTPUT_TABLE))
+_KEEP = MapOf(_OUTPUT)
 _RANGE = Table(
     {
         "lowest": Key(NUMBER, "The lowest value.", required=True),
@@ -211,6 +212,11 @@ def adapter_table(protocol: OtProtocol) -> Table:
         {
             "tool": Key(TEXT, "Name of the MCP tool.", required=True),
             "arguments": Key(_TABLE, "Its arguments; {host} and its like are replaced.", default={}),
+            "keep": Key(
+                _KEEP,
+                "Handle to its place in the answer; arguments of later calls take it as $connect.HANDLE.",
+                default={},
+            ),
         }
     )
     return Table(
@@ -315,6 +321,11 @@ def binding_table(operation: Operation) -> Table:
             "resource": Key(TEXT, "URI of a resource to read instead."),
             "arguments": Key(Template(inputs), f"Template; inputs: {known}.", default={}),
             "result": Key(result, "Where the outputs are.", default={}, required=bool(operation.needed)),
+            "keep": Key(
+                _KEEP,
+                "Handle to its place in the answer; arguments of later calls take it as $OPERATION.HANDLE.",
+                default={},
+            ),
             "when": Key(_by_input(inputs, ANYTHING), "Values of inputs for which this is the tool.", default={}),
             "offset": Key(_by_input(inputs, NUMBER), "Number added to an input.", default={}),
             "names": Key(_by_input(inputs, _TABLE), "The vendor's name for each value of an input.", default={}),

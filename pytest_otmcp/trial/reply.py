@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..core.finding import Finding
@@ -24,7 +24,7 @@ from ..subject.answers import (
 )
 from ..subject.model import Answering, OutputRule
 
-__all__ = ["Expectation", "Reply", "observe", "replace_outputs"]
+__all__ = ["Expectation", "Reply", "kept_of", "observe", "replace_outputs"]
 
 
 _WORDLESS = re.compile(
@@ -68,6 +68,7 @@ class Reply:
         outputs: the operation's outputs that the binding knows how to find.
         faults: what is wrong with the reply as such, whatever the task expected of it.
         native: the envelope is the adapter's own.
+        taken: the handles of earlier calls that the arguments hold, each by ``step.name``.
         excess: the bound of the tool's own schema that the arguments of a call that failed do not keep; None where they keep all.
     """
 
@@ -80,6 +81,7 @@ class Reply:
     faults: tuple[Finding, ...] = ()
     native: bool = True
     listed: bool = True
+    taken: Mapping[str, object] = field(default_factory=dict)
     excess: str | None = None
 
     @property
@@ -195,6 +197,11 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
         ),
         native=native,
     )
+
+
+def kept_of(rules: Mapping[str, OutputRule], message: Mapping[str, object], answering: Answering) -> dict[str, Any]:
+    """Return the handles that a binding, or the connect step, keeps of a JSON-RPC response; one that is not there is None."""
+    return extract(rules, read_answer(message, "structured" if answering.native else answering.form)[0])
 
 
 def replace_outputs(reply: Reply, outputs: Mapping[str, object], refused: tuple[str, str] | None) -> Reply:

@@ -24,6 +24,10 @@ HONEST = {
         {"FQ2": "mqtt.subscribe.qos is not claimed: the tool takes no QoS", **NO_SPARKPLUG, **OTHERS_ALONE},
     ),
     "mqtt-handle": ("Q1 Q2 Q3 FQ1 FQ2 S2 S5 S8 S11 R-mqtt", {**NO_SPARKPLUG, **OTHERS_ALONE}),
+    "mqtt-session": (
+        "Q1 Q2 Q3 FQ1 FQ2 S2 S5 S8 S11 R-mqtt",
+        {"Q4": "mqtt.device_birth is not claimed: does not speak Sparkplug B", **OTHERS_ALONE},
+    ),
     "mqtt-collect": (
         "Q2 S2 S11 R-mqtt",
         {
@@ -47,6 +51,7 @@ QUICK = {
     "modbus-http": [],
     "mqtt-connect": "publishes-into-the-void acknowledges-nonsense false-failure".split(),
     "mqtt-handle": "clamps-qos guard-by-hiding empty-poll farewell-for-hello".split(),
+    "mqtt-session": ["first-watch"],
     "mqtt-collect": [],
     "opcua-items": "empty-success guard-in-words echoes-write applied-late".split(),
 }
@@ -136,6 +141,8 @@ LIES = {
     ("mqtt-handle", "guard-by-hiding"): ("Q3", "the broker should have seen no PUBLISH from the adapter, it saw 1"),
     ("mqtt-handle", "empty-poll"): ("Q2 S2", "should be there once"),
     ("mqtt-handle", "hangs-on-nonsense"): ("FQ1", "no reply within the deadline"),
+    ("mqtt-session", "first-watch"): ("S2", "should be there once"),
+    ("mqtt-session", "same-session"): ("S11 R-mqtt", "expected success"),
     ("mqtt-collect", "collects-nothing"): ("Q2 S2", "the reply says []"),
     ("opcua-items", "empty-success"): ("O2 O4", "nodes are missing or wrong"),
     ("opcua-items", "guard-in-words"): ("O3", "the server should have seen no state-changing request, it saw 1"),
