@@ -170,13 +170,22 @@ class StoredDraw(TypedDict):
     step: float
 
 
+class StoredEffect(TypedDict):
+    """A further request of a named command: an operation and the template of its inputs."""
+
+    operation: str
+    effect: dict[str, Any]
+    documents: list[str]
+
+
 class StoredCommand(TypedDict):
-    """The effect of a named command; see the subject file."""
+    """The effect of a named command; see the subject file. ``then``: what comes after it, in this order."""
 
     name: str
     draws: dict[str, StoredDraw]
     effect: dict[str, Any]
     documents: list[str]
+    then: NotRequired[list[StoredEffect]]
 
 
 class StoredBinding(TypedDict):

@@ -345,16 +345,12 @@ def binding_table(operation: Operation) -> Table:
 
 def command_table(protocol: OtProtocol) -> Table:
     """Return the grammar of one named command."""
-    effects = {
-        name: Key(_effect(operation), _sentence(operation.meaning))
-        for name, operation in protocol.operations.items()
-        if operation.writes
-    }
-    one = Rule(
-        holds=lambda table: len(table) == 1,
-        objection=f"expected one operation that writes, such as {next(iter(effects), 'none')}",
-        described={"minProperties": 1, "maxProperties": 1},
-    )
+    writing = {name: operation for name, operation in protocol.operations.items() if operation.writes}
+    effect: Kind = _one_of(writing)
+    recognised = protocol.exercise.recognised if protocol.exercise is not None else {}
+    if recognised:
+        each = _one_of({name: operation for name, operation in writing.items() if name in recognised})
+        effect = ByType(list, ListOf(each, "a list of effects, in their order", least=1), effect)
     return Table(
         {
             "tool": Key(TEXT, "Name of the MCP tool; without it that of the command."),
@@ -370,10 +366,25 @@ def command_table(protocol: OtProtocol) -> Table:
                 default={},
             ),
             "effect": Key(
-                Table(effects, rules=(one,)), "What the device gets: an operation with its inputs.", required=True
+                effect,
+                "What the device gets: an operation with its inputs, or a list of these, in their order.",
+                required=True,
             ),
             **_answering("; without it as the adapter does"),
         }
+    )
+
+
+def _one_of(operations: Mapping[str, Operation]) -> Table:
+    return Table(
+        {name: Key(_effect(operation), _sentence(operation.meaning)) for name, operation in operations.items()},
+        rules=(
+            Rule(
+                holds=lambda table: len(table) == 1,
+                objection=f"expected one operation that writes, such as {next(iter(operations), 'none')}",
+                described={"minProperties": 1, "maxProperties": 1},
+            ),
+        ),
     )
 
 

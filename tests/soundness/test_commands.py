@@ -25,6 +25,11 @@ LIES = {
     ("modbus-valves", "writes-anyway"): ("WR-004", "WR-004"),
     ("modbus-valves", "sends-again"): ("WR-003", "WR-003 TMO-001"),
     ("modbus-valves", "delivers-later"): ("WR-010", "WR-010"),
+    ("modbus-valves", "starts-first"): ("WR-014", "WR-014"),
+    ("modbus-valves", "never-starts"): ("WR-014", "WR-014"),
+    ("modbus-valves", "starts-again"): ("WR-014", "WR-003 WR-014"),
+    ("mqtt-lights", "hall-first"): ("WR-014", "WR-014"),
+    ("mqtt-lights", "kitchen-alone"): ("WR-014", "WR-014"),
     ("mqtt-lights", "writes-nothing"): ("WR-014", "WR-014"),
     ("mqtt-lights", "another-light"): ("WR-014", "WR-014"),
     ("mqtt-lights", "another-value"): ("WR-014", "WR-014"),
@@ -36,7 +41,7 @@ LIES = {
 }
 """Each lie with the row that is about it, and the requirements that may be cited."""
 
-QUICK = {"another-value", "writes-anyway"}
+QUICK = {"another-value", "writes-anyway", "starts-first", "kitchen-alone"}
 
 
 def on(protocol: str, rows: str) -> set[str]:
@@ -96,6 +101,13 @@ def test_what_a_command_cannot_express_does_not_apply(judge_foreign: Judge) -> N
         ("modbus-valves", ("address = 40", "address = 41")),
         ("mqtt-lights", ('payload = "RING"', 'payload = "RING", qos = 2')),
         ("mqtt-lights", ('payload = "RING"', 'payload = "RING", retain = true')),
+        (
+            "mqtt-lights",
+            (
+                'home/hall/set", payload = { state = "$state" }',
+                'home/hall/set", payload = { state = "$state" }, qos = 2',
+            ),
+        ),
         ("mqtt-lights", ('state = "ON"', 'state = "ON", transition = 1')),
     ],
 )

@@ -193,6 +193,7 @@ EXERCISE = Exercise(
     },
     unauthorised=({"packet": "CONNECT", "action": {"reason_code": _NOT_AUTHORISED}},),
     says=_says,
+    recognised={"publish": lambda entry, asked: bool(_published([entry], asked))},
     outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
     device_texts=_device_texts,
 )
