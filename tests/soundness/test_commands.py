@@ -118,6 +118,32 @@ def test_what_differs_from_the_subject_file_is_a_finding(
     assert failing(judge_foreign(name, tasks=identifier, described=described)) == {identifier}
 
 
+RECIPE = """
+[adapter.opcua.commands.apply_recipe]
+tool = "write_items"
+draws = { position = { lowest = 0, highest = 100, step = 0.5 } }
+arguments = { items_to_write = [
+    { node = "ns=2;s=ValvePosition", value = "$position" },
+    { node = "ns=2;s=PumpEnabled", value = true },
+] }
+effect = [
+    { write = { node = "ns=2;s=ValvePosition", value = "$position" } },
+    { write = { node = "ns=2;s=PumpEnabled", value = true } },
+]
+"""
+
+
+def test_several_writes_of_one_call_are_told_apart_on_opcua(judge_foreign: Judge) -> None:
+    before = "[adapter.opcua.bind.read]"
+    honest = judge_foreign("opcua-items", tasks="WR-014.opcua", described=(before, f"{RECIPE}\n{before}"))
+    assert passing(honest) == {"WR-014.opcua"}, words(honest)
+    first, second = RECIPE.partition("effect = [")[2].split("\n")[1:3]
+    swapped = RECIPE.replace(f"{first}\n{second}", f"{second}\n{first}")
+    results = judge_foreign("opcua-items", tasks="WR-014.opcua", described=(before, f"{swapped}\n{before}"))
+    assert failing(results) == {"WR-014.opcua"}
+    assert "each once and in this order, it saw them in another order" in words(results)
+
+
 EVERYWHERE = foreign_subject("named-everywhere").adapters
 
 
