@@ -158,6 +158,7 @@ class DeviceText:
         controls: they may be control characters.
         first: a call without which the text does not reach the adapter, such as a subscription.
         then: a call on the same connection: when it is answered, the adapter has read what the device sent before.
+        output: the part of an answer that has the text, where an adapter may do without it.
     """
 
     place: str
@@ -167,6 +168,7 @@ class DeviceText:
     controls: bool = True
     first: Asked | None = None
     then: Asked | None = None
+    output: str | None = None
 
 
 def _no_points(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:

@@ -106,6 +106,8 @@ class Operation:
         voluntary_outputs: further outputs, each a facet that is claimed by saying where it is.
         defaults: values of voluntary inputs for a tool whose schema requires the argument that stands for them.
         documents: inputs that are texts, and that the effect of a named command may state as a JSON document.
+        topic_of: returns, from its inputs, the topic of all messages that a call returns, or None where they may be of several; None for
+            an operation that returns no messages.
     """
 
     meaning: str
@@ -125,6 +127,7 @@ class Operation:
     voluntary_outputs: tuple[str, ...] = ()
     defaults: Mapping[str, object] = field(default_factory=dict)
     documents: tuple[str, ...] = ()
+    topic_of: Callable[[Mapping[str, object]], str | None] | None = None
 
     def __post_init__(self) -> None:
         if not self.requirement:

@@ -203,6 +203,7 @@ class StoredBinding(TypedDict):
     convert: dict[str, str]
     max_age_s: NotRequired[float | None]
     keep: NotRequired[dict[str, StoredOutputRule]]
+    topicless: NotRequired[bool]
     command: NotRequired[StoredCommand | None]
 
 

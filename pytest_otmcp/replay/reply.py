@@ -97,19 +97,17 @@ def recorded_reply(
     exchange = _exchange(call)
     if exchange is None:
         return _believed(call)
-    expected = Expectation(
-        adapter=call["adapter"],
-        variant=call["variant"],
-        operation=call["operation"],
-        deadline_s=deadline_s,
-        answering=Answering(form="text") if binding is None else binding.answering,
-        outputs={} if binding is None else binding.outputs_for(inputs),
-        # Only the read-only variant may do without a tool.
-        # Of its own tools a variant that may write lists each; of another tool that the steps name the record says it.
-        listed=call["listed"] or (call["variant"] == READ_WRITE and (altered is None or altered.tool is None)),
-    )
-    reply = observe(exchange, expected)
-    return replace_outputs(reply, call["outputs"], _refusal(call)) if binding is None else reply
+    # Only the read-only variant may do without a tool.
+    # Of its own tools a variant that may write lists each; of another tool that the steps name the record says it.
+    listed = call["listed"] or (call["variant"] == READ_WRITE and (altered is None or altered.tool is None))
+    made = {name: call[name] for name in ("adapter", "variant", "operation")}
+    if binding is None:
+        reply = observe(
+            exchange,
+            Expectation(**made, deadline_s=deadline_s, answering=Answering(form="text"), outputs={}, listed=listed),
+        )
+        return replace_outputs(reply, call["outputs"], _refusal(call))
+    return observe(exchange, Expectation.of(binding, inputs, **made, deadline_s=deadline_s, listed=listed))
 
 
 def _refusal(call: Mapping[str, Any]) -> tuple[str, str] | None:

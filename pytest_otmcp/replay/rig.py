@@ -246,6 +246,9 @@ class ReplayRig(Rig):
     def lacks(self) -> Collection[str]:
         return self._state.adapter.facts["lacks"]
 
+    def judges(self, output: str) -> bool:
+        return output not in self._state.adapter.facts["unjudged"]
+
     @property
     def addresses(self) -> list[tuple[str, int]]:
         endpoints = self._state.history.facts["endpoints"]

@@ -63,7 +63,7 @@ def _stored(binding: Binding) -> dict[str, Any]:
     stored = asdict(binding)
     if binding.command is not None and not binding.command.then:
         del stored["command"]["then"]
-    for name in ("command", "keep"):
+    for name in ("command", "keep", "topicless"):
         if not stored[name]:
             del stored[name]
     return stored

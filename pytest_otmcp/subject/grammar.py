@@ -330,6 +330,11 @@ def binding_table(operation: Operation) -> Table:
             "offset": Key(_by_input(inputs, NUMBER), "Number added to an input.", default={}),
             "names": Key(_by_input(inputs, _TABLE), "The vendor's name for each value of an input.", default={}),
             "as": Key(_by_input(inputs, _INPUT_TYPE), "The type in which the tool wants an input.", default={}),
+            "topic": Key(
+                OneOf(("told", "subscribed")),
+                "'subscribed' for messages without a topic: they are of the topic that is asked for.",
+                default="told",
+            ),
             "blocking": Key(FLAG, "The call waits for what it answers.", default=False),
             "source": Key(
                 OneOf(("device", "cache")), "'cache' for a status that may be a moment old.", default="device"
@@ -339,7 +344,8 @@ def binding_table(operation: Operation) -> Table:
         },
         rules=(_HAS_A_TOOL, _RESOURCE_STANDS_ALONE, _CACHE_HAS_AN_AGE)
         + (() if operation.status else (_KNOWN_FROM_THE_DEVICE,))
-        + ((_ANSWERS_AT_ONCE,) if operation.waits is None else ()),
+        + ((_ANSWERS_AT_ONCE,) if operation.waits is None else ())
+        + ((_HAS_NO_TOPIC,) if operation.topic_of is None else ()),
     )
 
 
@@ -503,6 +509,12 @@ _KNOWN_FROM_THE_DEVICE = Rule(
     at="source",
     objection="only a status may come from a cache",
     described={"properties": {"source": {"const": "device"}}},
+)
+_HAS_NO_TOPIC = Rule(
+    holds=lambda table: table.get("topic") != "subscribed",
+    at="topic",
+    objection="only messages are of a topic",
+    described={"properties": {"topic": {"const": "told"}}},
 )
 _ANSWERS_AT_ONCE = Rule(
     holds=lambda table: not table.get("blocking"),

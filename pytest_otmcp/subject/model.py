@@ -193,6 +193,7 @@ class Binding:
         tool: name of the MCP tool, or URI of the resource.
         resource: ``tool`` is the URI of a resource, which is read.
         blocking: the call waits for the messages that it returns.
+        topicless: the messages that it returns are payloads without their topics.
         arguments: template; a string ``"$name"`` stands for the operation's input of that name, keeping its type, ``"$step.name"``
             for a handle that an earlier call kept, and ``{host}`` and its like are replaced as in a launch command.
         outputs: output name to its place in the answer.
@@ -217,6 +218,7 @@ class Binding:
     convert: Mapping[str, str]
     resource: bool = False
     blocking: bool = False
+    topicless: bool = False
     max_age_s: float | None = None
     keep: Mapping[str, OutputRule] = field(default_factory=dict)
     command: Command | None = None
@@ -575,7 +577,7 @@ class Adapter:
             "lacks": sorted(self.missing_inputs()),
             "probes": dict(self.probes),
             "bindings": {},
-            "unjudged": sorted(self._unjudged()),
+            "unjudged": sorted(self.unjudged()),
             "unmet": [],
             "listing": {},
             "server_name": None,
@@ -604,9 +606,14 @@ class Adapter:
             if name in self.operations and self.why_not_testable(f"{name}.{optional}") is not None
         }
 
-    def _unjudged(self) -> set[str]:
-        """Return the outputs that tasks could judge if the subject file said where they are."""
-        return {
+    def unjudged(self) -> set[str]:
+        """Return the outputs that tasks could judge if the subject file said where they are, and ``messages.topic`` where messages have none."""
+        topicless = {
+            f"{name}.topic"
+            for name, bound in self.operations.items()
+            if isinstance(bound, tuple) and any(binding.topicless for binding in bound)
+        }
+        return topicless | {
             f"{name}.{output}"
             for name, bound in self.operations.items()
             if isinstance(bound, tuple)

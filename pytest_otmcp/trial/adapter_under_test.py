@@ -45,7 +45,6 @@ from ..subject.model import (
     Answering,
     Binding,
     Function,
-    OutputRule,
     Variant,
     handles,
     replace_placeholders,
@@ -602,7 +601,15 @@ class AdapterUnderTest:
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
         if altered is not None and altered.tool is not None:
             listed = altered.tool in session.tools
-        expected = self._expectation(operation, binding.answering, binding.outputs_for(inputs), listed=listed)
+        expected = Expectation.of(
+            binding,
+            inputs,
+            adapter=self.adapter.protocol,
+            variant=self.variant,
+            operation=operation,
+            deadline_s=self.deadline_s,
+            listed=listed,
+        )
         if not binding.answering.native:
             self._note_unmet(exchange)
         reply = replace(observe(exchange, expected), taken=taken)
@@ -681,19 +688,6 @@ class AdapterUnderTest:
             case.fits(inputs) and not (first and case.follows) for case in bound or ()
         )
 
-    def _expectation(
-        self, operation: str, answering: Answering, outputs: Mapping[str, OutputRule], *, listed: bool = True
-    ) -> Expectation:
-        return Expectation(
-            adapter=self.adapter.protocol,
-            variant=self.variant,
-            operation=operation,
-            deadline_s=self.deadline_s,
-            answering=answering,
-            outputs=outputs,
-            listed=listed,
-        )
-
     def _note_unmet(self, exchange: Exchange) -> None:
         try:
             result = parse_strict(exchange.response or b"null")
@@ -722,7 +716,14 @@ class AdapterUnderTest:
             ) from error
         if not tools.exchanges:
             raise NoBindingError(f"the binding function {function.name} called no tool")
-        expected = self._expectation(function.name, Answering(form="text"), {})
+        expected = Expectation(
+            adapter=self.adapter.protocol,
+            variant=self.variant,
+            operation=function.name,
+            deadline_s=self.deadline_s,
+            answering=Answering(form="text"),
+            outputs={},
+        )
         reply = observe(joined(tools.exchanges, inputs), expected)
         return replace_outputs(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
 

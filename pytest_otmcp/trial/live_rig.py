@@ -153,6 +153,9 @@ class LiveRig(Rig):
     def lacks(self) -> Collection[str]:
         return self.under_test.adapter.missing_inputs()
 
+    def judges(self, output: str) -> bool:
+        return output not in self.under_test.adapter.unjudged()
+
     @property
     def addresses(self) -> list[tuple[str, int]]:
         return [(endpoint.host, endpoint.port) for endpoint in self.device.endpoints.values() if endpoint.port]

@@ -125,6 +125,10 @@ class Rig(WriteGate):
     def lacks(self) -> Collection[str]:
         """The optional inputs that no binding has a place for, such as ``subscribe.qos``."""
 
+    @abstractmethod
+    def judges(self, output: str) -> bool:
+        """Tell whether the subject says where this output is, such as ``messages.topic``, the topics of messages."""
+
     def accepts_input(self, operation: str, name: str) -> bool:
         """Tell whether the operation can be given this optional or voluntary input."""
         if name in protocols()[self.protocol].operations[operation].voluntary_inputs:

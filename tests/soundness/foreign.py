@@ -28,6 +28,7 @@ SHAPES = {
     "mqtt-connect": "foreign_mqtt",
     "mqtt-handle": "foreign_mqtt",
     "mqtt-session": "foreign_mqtt",
+    "mqtt-payloads": "foreign_mqtt",
     "mqtt-collect": "foreign_mqtt",
     "mqtt-wait": "foreign_mqtt",
     "opcua-items": "foreign_opcua",

@@ -1,9 +1,10 @@
-"""Five MQTT adapters of foreign shape, and their lies.
+"""Six MQTT adapters of foreign shape, and their lies.
 
 ``mqtt-connect``: has to be connected by a tool, does not reconnect; structured content with a ``success`` in it, ``isError``
 never set; one inbox for all messages, no QoS.
 ``mqtt-handle``: reconnects when it has to; a subscription has a handle that is polled and emptied; ``isError`` set.
 ``mqtt-session``: a tool opens a session, whose number every other tool takes; a subscription has a handle that is read and ended.
+``mqtt-payloads``: a topic is subscribed to, and its payloads are asked for by it; they come without their topics.
 ``mqtt-collect``: subscribes, waits and answers in one call; a text block for each message, and nothing else.
 ``mqtt-wait``: one call subscribes and waits for the next message, another publishes; each over a connection of its own. Prose.
 """
@@ -349,6 +350,51 @@ def mqtt_session(lie: str | None, read_only: bool) -> Shape:
         "send": ({"session": session, "topic": "string", "text": "string", "qos": qos}, send),
     }
     return Shape(tools={name: (schema, failing(call)) for name, (schema, call) in tools.items()}, strict=True)
+
+
+# -- payloads without topics ------------------------------------------------------------------------------------------
+
+
+def mqtt_payloads(lie: str | None, read_only: bool) -> Shape:
+    links: list[Link] = []
+    topics: set[str] = set()
+    opening = asyncio.Lock()
+
+    async def link() -> Link:
+        async with opening:
+            if not (links and links[-1].client.is_connected()):
+                kept = links[-1].received if links else []
+                links.append(Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]), received=kept))
+                await asyncio.to_thread(links[-1].open)
+                for topic in topics:
+                    await asyncio.to_thread(links[-1].subscribe, topic, 0)
+        return links[-1]
+
+    async def state() -> Result:
+        try:
+            await asyncio.to_thread((await link()).check)
+        except Failure as failure:
+            return prose(f"{failure.kind}: {failure}", is_error=True)
+        return json_text({"connected": True})
+
+    async def watch(topic: str) -> Result:
+        try:
+            if await asyncio.to_thread((await link()).subscribe, topic, 0) >= REFUSED:
+                raise Failure("refused", f"the broker refuses {topic!r}")
+        except Failure as failure:
+            return prose(f"{failure.kind}: {failure}", is_error=True)
+        topics.add(topic)
+        return json_text({"watching": topic})
+
+    async def payloads(topic: str) -> Result:
+        if topic not in topics:
+            return prose(f"invalid: {topic!r} is not watched", is_error=True)
+        every = [] if lie == "no-payloads" else links[-1].received
+        return json_text([one["payload"] for one in every if one["topic"] == topic or lie == "of-all-topics"])
+
+    return Shape(
+        tools={"state": ({}, state), "watch": ({"topic": "string"}, watch), "payloads": ({"topic": "string"}, payloads)}
+    )
 
 
 # -- one call for all -------------------------------------------------------------------------------------------------

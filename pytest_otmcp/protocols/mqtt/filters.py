@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-__all__ = ["covers"]
+__all__ = ["covers", "name_in"]
+
+
+def name_in(text: object) -> str | None:
+    """Return the one topic that a filter selects; None for a filter with a wildcard."""
+    return text if isinstance(text, str) and not {"+", "#"} & set(text) else None
 
 
 def covers(text: str, other: str) -> bool:
