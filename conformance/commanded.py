@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.exercise import Asked
-from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.exercise import THEN, Asked
+from pytest_otmcp.protocols.journal import Entries, JournalEntry
 from pytest_otmcp.protocols.oracle import Witness
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.protocols.unsolicited import nothing_commanded
@@ -33,15 +33,16 @@ async def asked_of_the_device(at: Rig, asked: Asked, reply: Reply) -> Entries:
 
     What a command sends may need no answer, as a message of QoS 0, and is on its way then when the call is answered.
     """
-    if not at.by_command_alone(asked.operation):
+    if not (at.by_command_alone(asked.operation) or asked.then):
         return reply.during(await at.journal())
-    if reply.success and not exercise(at).done(_since(reply, await at.journal()), asked):
+    if reply.success and len(_done(at, asked, _since(reply, await at.journal()))) < 1 + len(asked.then):
         await at.watch(_LATE_S)
     return _since(reply, await at.journal())
 
 
 async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: str | None = None) -> None:
-    """Call a command, and expect success, one request with its effect, and nothing else at the device.
+    """Call a command, and expect success, one request with its effect, or one with each of its effects in their order, and nothing else
+    at the device.
 
     Args:
         requirement: id of the requirement that anything else breaks; None is WR-001 to WR-003, depending on what it is.
@@ -52,32 +53,68 @@ async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: st
     if not run.succeeds(reply, requirement=requirement):
         return
     seen = await asked_of_the_device(at, asked, reply)
-    count = len(exercise(at).done(seen, asked))
-    if count != 1:
-        message = (
-            f"{reply.label}: the device should have seen its effect, {_effect(asked)}, once, it saw it {count} times"
-        )
-        broken = requirement or ("WR-003" if count else "WR-001")
+    found, parts = _done(at, asked, seen), (asked, *asked.then)
+    wrong = next(
+        (
+            (part, shown)
+            for part, entry in zip(parts, found, strict=False)
+            if (shown := _sent_otherwise(at, part, entry))
+        ),
+        None,
+    )
+    if (problem := _not_as_stated(at, asked, found)) is not None:
+        broken = requirement or ("WR-003" if len(found) > len(parts) else "WR-001")
+        message = f"{reply.label}: the device should have seen {problem}"
         run.finding("not_written_once", message, broken, evidence=protocols()[at.protocol].seen(seen))
-    elif shown := _sent_otherwise(at, asked, seen):
-        message = f"{reply.label}: the device should have seen one request with {dict(asked.sent)}, it saw {shown}"
+    elif wrong is not None:
+        part, shown = wrong
+        message = f"{reply.label}: the device should have seen one request with {dict(part.sent)}, it saw {shown}"
         run.finding("not_written_once", message, requirement or "WR-001", evidence=protocols()[at.protocol].seen(seen))
     if asked.points:
         witness = Witness(noun="the device", describe=protocols()[at.protocol].describe)
-        found = witness.only_changed(before, await at.image(), asked.points)
-        run.witnessed([replace(finding, requirement=requirement or finding.requirement) for finding in found])
+        changed = witness.only_changed(before, await at.image(), asked.points)
+        run.witnessed([replace(finding, requirement=requirement or finding.requirement) for finding in changed])
 
 
-def _sent_otherwise(at: Rig, asked: Asked, entries: Entries) -> Mapping[str, object]:
-    """Return what the request of a call says beside the value, where it is not what was asked for."""
+def _done(at: Rig, asked: Asked, entries: Entries) -> list[JournalEntry]:
+    """Return the requests that ask the device for the effect of a call, or for any of its effects."""
     known = exercise(at)
-    said = None if known.says is None else known.says(known.done(entries, asked)[0])
+    if not asked.then:
+        return known.done(entries, asked)
+    parts = (asked, *asked.then)
+    return [
+        entry
+        for entry in protocols()[at.protocol].changes(entries)
+        if any(known.recognised[part.operation](entry, part) for part in parts)
+    ]
+
+
+def _not_as_stated(at: Rig, asked: Asked, found: Entries) -> str | None:
+    """Say, in words that follow "should have seen", in what these requests differ from the effect of a call; None where in nothing."""
+    if not asked.then:
+        return None if len(found) == 1 else f"its effect, {_effect(asked)}, once, it saw it {len(found)} times"
+    parts, recognised = (asked, *asked.then), exercise(at).recognised
+    seen = [[recognised[part.operation](entry, part) for part in parts] for entry in found]
+    if len(found) == len(parts) and all(of[place] for place, of in enumerate(seen)):
+        return None
+    expected = f"its effects, {', then '.join(map(_effect, parts))}, each once and in this order, it saw"
+    counts = [sum(of[place] for of in seen) for place in range(len(parts))]
+    if len(found) == len(parts) and all(counts):
+        return f"{expected} them in another order"
+    return f"{expected} them {' and '.join(map(str, counts))} times"
+
+
+def _sent_otherwise(at: Rig, asked: Asked, entry: JournalEntry) -> Mapping[str, object]:
+    """Return what a request says beside the value, where it is not what was asked for."""
+    known = exercise(at)
+    said = None if known.says is None else known.says(entry)
     shown = {} if said is None else {name: said[name] for name in asked.sent if name in said}
     return {} if all(asked.sent[name] == value for name, value in shown.items()) else shown
 
 
 def _effect(asked: Asked) -> str:
-    return f"{asked.operation} with {', '.join(f'{name}={value!r}' for name, value in asked.inputs.items())}"
+    inputs = {name: value for name, value in asked.inputs.items() if name != THEN}
+    return f"{asked.operation} with {', '.join(f'{name}={value!r}' for name, value in inputs.items())}"
 
 
 async def guarded(run: Repetition, at: Rig, asked: Asked) -> None:

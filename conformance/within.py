@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from pytest_otmcp.protocols.exercise import Asked, Contended, DeviceText, Exercise
+from pytest_otmcp.protocols.exercise import THEN, Asked, Contended, DeviceText, Exercise
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.rig import Command, Rig
 
@@ -90,15 +90,17 @@ def _by_command(at: Rig, exercise: Exercise) -> Exercise:
         return tuple(drawn(*one, rng) for one in commands)
 
     every = exercise.every_write
+    # What is asked of any write is asked of one request.
+    single = [one for one in commands if not one[1].then]
     found = replace(
         exercise,
         commanded=commanded,
-        every_write=every and (lambda rng: (*every(rng), *commanded(rng))),
+        every_write=every and (lambda rng: (*every(rng), *(drawn(*one, rng) for one in single))),
     )
-    if at.claims(exercise.writing) and not at.by_command_alone(exercise.writing):
+    if not single or (at.claims(exercise.writing) and not at.by_command_alone(exercise.writing)):
         return found
     # Of many values no two are likely to be the same.
-    most = max(commands, key=lambda one: one[1].count)
+    most = max(single, key=lambda one: one[1].count)
     return replace(
         found,
         writing=most[0],
@@ -109,14 +111,17 @@ def _by_command(at: Rig, exercise: Exercise) -> Exercise:
 
 
 def commanding(at: Rig, exercise: Exercise, operation: str, inputs: Mapping[str, Any]) -> Asked:
-    """Return the call of a named command that has these inputs of an operation as its effect."""
+    """Return the call of a named command that has these inputs of an operation as its effect, and what comes after that."""
     known = protocols()[at.protocol].operations[operation]
     further = (*known.optional, *known.voluntary_inputs)
+    then = tuple(commanding(at, exercise, one["operation"], one["inputs"]) for one in inputs.get(THEN, ()))
+    points = [exercise.points_of(operation, inputs), *(one.points for one in then)]
     return Asked(
         operation=operation,
         inputs=inputs,
-        points=exercise.points_of(operation, inputs),
+        points={name: value for one in points for name, value in one.items()} if all(points) else {},
         sent={name: inputs[name] for name in further if name in inputs},
+        then=then,
     )
 
 

@@ -62,7 +62,7 @@ def _offered(at: Rig, name: str) -> list[DeviceText]:
 
 def _is_offered(at: Rig, place: DeviceText) -> bool:
     needed = (asked.operation for asked in (place.ask(""), place.first, place.then) if asked is not None)
-    return all(map(at.claims, needed))
+    return all(map(at.claims, needed)) and (place.output is None or at.judges(place.output))
 
 
 def _nonce(run: Repetition) -> str:

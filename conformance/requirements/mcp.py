@@ -287,7 +287,7 @@ async def _meet_hostile_names(run: Repetition, at: Rig) -> None:
     elif at.protocol == "mqtt":
         message = {"topic": f"otmcp/{_INSTRUCTION}", "payload": "YQ==", "qos": 0, "retain": False}
         asked = ("subscribe", {"filter": "otmcp/#", "qos": 0}), ("messages", {"filter": "otmcp/#"})
-        if all(at.can_ask(*one) for one in asked) and not at.blocks("messages"):
+        if all(at.can_ask(*one) for one in asked) and not at.blocks("messages") and at.judges("messages.topic"):
             await at.call("subscribe", filter="otmcp/#", qos=0)
             await at.poke(publish=message)
             await at.call("messages", filter="otmcp/#")

@@ -322,12 +322,13 @@ def _at_most_once(
     apart="opcua",
 )
 async def the_guard_covers_every_write(run: Repetition, at: Rig, guarded: Rig, uncontrolled: Rig | None = None) -> None:
-    """Write by every operation that writes, with writes disabled; then the same with writes enabled. Where the subject has a switch of its
-    own for control of the device itself: write with writes enabled and control disabled, and try by every operation to control it.
+    """Write by every operation that writes, and by every named command of several effects, with writes disabled; then the same with writes
+    enabled. Where the subject has a switch of its own for control of the device itself: write with writes enabled and control disabled, and
+    try by every operation to control it.
 
     Said: refusals with `writes_disabled` and the outcome `not_sent`; then success. Of control that is disabled refusals with
         `writes_disabled` or `access_denied`.
-    Seen: over the whole life of the session with writes disabled no request that changes the plant; then one for each write. With control
+    Seen: over the whole life of the session with writes disabled no request that changes the plant; then one for each effect. With control
         disabled the write alone.
     Why: the write switch is what keeps an assistant's mistake out of the plant, and it has to keep all of them out.
     """
@@ -358,6 +359,15 @@ async def _refused_then_written(run: Repetition, at: Rig, guarded: Rig) -> None:
         reply = await at.call(asked.operation, **asked.inputs)
         run.succeeds(reply, requirement="WR-001")
         run.witnessed(_one_change(at, reply, await at.journal()))
+    await _sequences_refused_then_written(run, at, guarded)
+
+
+async def _sequences_refused_then_written(run: Repetition, at: Rig, guarded: Rig) -> None:
+    commanded = exercise(at).commanded
+    for asked in () if commanded is None else commanded(run.rng):
+        if asked.then:
+            await guarded_command(run, guarded, asked)
+            await carried_out(run, at, asked)
 
 
 async def _guarded(run: Repetition, guarded: Rig, operation: str, inputs: Mapping[str, Any]) -> None:

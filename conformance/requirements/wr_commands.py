@@ -25,8 +25,8 @@ async def commands_have_their_effect(run: Repetition, at: Rig) -> None:
     """Call every named command with every value of a list, with the ends of a range, and with values drawn at random.
 
     Said: success.
-    Seen: one request for each call, with the effect that the subject file states; where the device holds values, it holds these, and
-        everything else is as it was.
+    Seen: one request for each call, with the effect that the subject file states, or one for each of its effects, in their order; where the
+        device holds values, it holds these, and everything else is as it was.
     Why: an assistant knows a lamp or a pump by its name alone, and cannot see which register that is.
     """
     for asked in _every_command(run, at):

@@ -17,7 +17,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-__all__ = ["arrival", "collect", "publish_from_kit", "received", "receives", "sync_point", "tells"]
+__all__ = ["arrival", "collect", "publish_from_kit", "received", "receives", "sync_point", "tells", "tells_topics"]
 
 COLLECT_S = 2
 """Seconds that a call that waits for messages is told to wait, on a machine that is not slow."""
@@ -117,20 +117,27 @@ def receives(run: Repetition, mqtt: Rig, reply: Reply, topic: str, payload: str,
         by_topic: asked for were the messages on this topic, not those that a wider filter selects.
     """
     filtered = by_topic and mqtt.accepts_input("messages", "filter")
-    run.judge(reply, received(reply, topic, payload, filtered=filtered))
+    run.judge(reply, received(reply, topic, payload, filtered=filtered, told=tells_topics(mqtt)))
 
 
-def received(reply: Reply, topic: str, payload: str, *, filtered: bool) -> list[Finding]:
+def tells_topics(mqtt: Rig) -> bool:
+    """Tell whether messages have their topics. Where they are payloads alone, they are asked for by one topic, and never by a wildcard."""
+    return mqtt.judges("messages.topic")
+
+
+def received(reply: Reply, topic: str, payload: str, *, filtered: bool, told: bool = True) -> list[Finding]:
     """Expect that the answer holds the message with this payload once, on its topic.
 
     Args:
         filtered: only messages on this topic were asked for, so there must be no other message.
+        told: messages have their topics.
     """
     if findings := succeeded(reply):
         return findings
     messages = listed(reply.outputs)
     found = [message for message in messages if message.content == payload.encode()]
-    if len(found) == 1 and all(message.topic == topic for message in (messages if filtered else found)):
+    right = (topic,) if told else (topic, None)
+    if len(found) == 1 and all(message.topic in right for message in (messages if filtered else found)):
         return []
     shown = json.dumps(reply.outputs.get("messages"), ensure_ascii=False, default=repr)[:400]
     return [

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
+from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.mqtt import oracle
 from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
@@ -32,7 +35,7 @@ from .common import (
     untold,
     writes_fail,
 )
-from .messages import arrival, collect, publish_from_kit, receives, sync_point, tells
+from .messages import arrival, collect, publish_from_kit, receives, sync_point, tells, tells_topics
 from .refusals import filters_are_no_topics
 
 __all__ = ["TASKS"]
@@ -86,7 +89,8 @@ async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
     """
     if mqtt.blocks("messages"):
         nonce = f"nonce-{run.rng.getrandbits(64):016x}"
-        await collect(run, mqtt, {"sensors/#": ("sensors/temperature", nonce)})
+        text = "sensors/#" if tells_topics(mqtt) else "sensors/temperature"
+        await collect(run, mqtt, {text: ("sensors/temperature", nonce)})
         return
     reply = await mqtt.call("subscribe", filter="sensors/#", qos=0)
     run.succeeds(reply, granted_qos=0)
@@ -101,21 +105,26 @@ async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
 
 @subscribe_to_sensors.after
 async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
-    """Ask for the messages that came.
+    """Ask for the messages that came; where messages have no topics, for those on a topic of its own that is subscribed to first.
 
     Said: the message with random content that the kit published, once and on its own topic.
     """
     if mqtt.blocks("messages"):
         return
     # By the filter of the subscription and by the topic: of the first there may be older messages as well.
-    for text in ("sensors/#", "sensors/pressure"):
+    topic, filters = "sensors/pressure", ["sensors/#", "sensors/pressure"]
+    if not tells_topics(mqtt):
+        # A broker may send a message once for each subscription that selects it (MQTT 3.1.1, section 3.3.5).
+        topic, filters = "plant/pressure", ["plant/pressure"]
+        run.succeeds(await mqtt.call("subscribe", filter=topic, qos=0))
+    for text in filters:
         nonce = f"nonce-{run.rng.getrandbits(64):016x}"
         payload = base64.b64encode(nonce.encode()).decode()
-        await publish_from_kit(mqtt, "sensors/pressure", nonce.encode())
-        await mqtt.wait_for(kind="PUBLISH", direction="out", topic="sensors/pressure", payload=payload, timeout_s=1.0)
+        await publish_from_kit(mqtt, topic, nonce.encode())
+        await mqtt.wait_for(kind="PUBLISH", direction="out", topic=topic, payload=payload, timeout_s=1.0)
         await sync_point(run, mqtt, "sensors/#")
         reply = await mqtt.call("messages", filter=text)
-        receives(run, mqtt, reply, "sensors/pressure", nonce, by_topic=text == "sensors/pressure")
+        receives(run, mqtt, reply, topic, nonce, by_topic=text == topic)
 
 
 @TASKS.task(
@@ -355,17 +364,29 @@ async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
         if having is not None:
             run.succeeds(reply)
         receives(run, mqtt, having or reply, topic, nonce)
+        if having is None and not tells_topics(mqtt):
+            _holds_no_other(run, reply, topic, [other for other in nonces.values() if other != nonce])
+
+
+def _holds_no_other(run: Repetition, reply: Reply, topic: str, others: Iterable[str]) -> None:
+    """Expect that an answer without topics holds no message that came on another topic than the one that was asked for."""
+    if strange := [other for other in others if tells(reply, other)]:
+        message = (
+            f"{reply.label}: the message {strange[0]!r} should not be there, it came on another topic than {topic!r}"
+        )
+        run.judge(reply, [Finding(code="wrong_value", message=message, requirement="MQT-004")])
 
 
 @concurrent_message_reads.before
 async def the_adapter_listens(run: Repetition, mqtt: Rig) -> None:
-    """Subscribe to the topics.
+    """Subscribe to the topics; one by one where messages have no topics.
 
     Said: success.
     """
     if mqtt.blocks("messages"):
         return
-    run.succeeds(await mqtt.call("subscribe", filter="stress/#", qos=0))
+    for text in ("stress/#",) if tells_topics(mqtt) else (f"stress/{i}" for i in range(4)):
+        run.succeeds(await mqtt.call("subscribe", filter=text, qos=0))
 
 
 @TASKS.task(

@@ -19,6 +19,7 @@ __all__ = [
     "LARGEST_FLOAT32",
     "NO_INTEGERS",
     "NO_REALS",
+    "THEN",
     "Asked",
     "Clamped",
     "Contended",
@@ -31,6 +32,8 @@ __all__ = [
     "number_in_json",
 ]
 
+THEN = "then"
+"""Name, among the inputs of an operation, of what else a named command asks of the device after it: a list of operations with their inputs."""
 LARGEST_FLOAT32: float = struct.unpack(">f", bytes.fromhex("7f7fffff"))[0]
 """The largest finite number of 32 bits (IEEE 754)."""
 NO_INTEGERS = (40.7, "abc", "40", [40], None)
@@ -55,6 +58,7 @@ class Asked:
         pokes: what is set at the mock before the call.
         points: what the device's image holds after a write, by point; empty where the device has no such image.
         sent: what the request that writes says beside the value, such as a control code, by the names of ``says``.
+        then: what the same call asks of the device after that, in this order, where a named command has several effects.
         condition: of a fault plan, which the requests of this call meet, and those of calls for something else do not.
     """
 
@@ -64,6 +68,7 @@ class Asked:
     pokes: tuple[Poke, ...] = ()
     points: Mapping[str, object] = field(default_factory=dict)
     sent: Mapping[str, object] = field(default_factory=dict)
+    then: tuple[Asked, ...] = ()
     condition: Rule = field(default_factory=dict)
 
 
@@ -153,6 +158,7 @@ class DeviceText:
         controls: they may be control characters.
         first: a call without which the text does not reach the adapter, such as a subscription.
         then: a call on the same connection: when it is answered, the adapter has read what the device sent before.
+        output: the part of an answer that has the text, where an adapter may do without it.
     """
 
     place: str
@@ -162,6 +168,7 @@ class DeviceText:
     controls: bool = True
     first: Asked | None = None
     then: Asked | None = None
+    output: str | None = None
 
 
 def _no_points(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
@@ -239,8 +246,10 @@ class Exercise:
         asks_for: returns what a request that writes asks for, as the values of ``contended`` are; None for another request.
         points_of: returns the points that the device's image holds after a write, from the operation and its inputs; none where the device
             has no such image, or where that cannot be told from the inputs alone.
+        recognised: by operation that writes, whether a request asks for what its inputs say: what tells the requests of one call apart. Named
+            commands may have several effects of these operations.
         changing: the conditions of a fault plan that any request meets which changes the plant; empty where those are ``writes``.
-        commanded: makes a write by every named command of the subject; None for a subject without.
+        commanded: makes a write, or several by one call, by every named command of the subject; None for a subject without.
     """
 
     reading: str
@@ -280,6 +289,7 @@ class Exercise:
     texts: Texts | None = None
     device_texts: Callable[[str], tuple[DeviceText, ...]] | None = None
     points_of: Callable[[str, Mapping[str, Any]], Mapping[str, object]] = _no_points
+    recognised: Mapping[str, Callable[[JournalEntry, Asked], bool]] = field(default_factory=dict)
     changing: tuple[Rule, ...] = ()
     commanded: Callable[[random.Random], tuple[Asked, ...]] | None = None
 

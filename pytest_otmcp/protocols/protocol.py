@@ -106,6 +106,8 @@ class Operation:
         voluntary_outputs: further outputs, each a facet that is claimed by saying where it is.
         defaults: values of voluntary inputs for a tool whose schema requires the argument that stands for them.
         documents: inputs that are texts, and that the effect of a named command may state as a JSON document.
+        topic_of: returns, from its inputs, the topic of all messages that a call returns, or None where they may be of several; None for
+            an operation that returns no messages.
     """
 
     meaning: str
@@ -125,6 +127,7 @@ class Operation:
     voluntary_outputs: tuple[str, ...] = ()
     defaults: Mapping[str, object] = field(default_factory=dict)
     documents: tuple[str, ...] = ()
+    topic_of: Callable[[Mapping[str, object]], str | None] | None = None
 
     def __post_init__(self) -> None:
         if not self.requirement:
@@ -245,6 +248,10 @@ def _declares_nothing(operation: str, effect: Mapping[str, str]) -> Mapping[str,
     return {}
 
 
+def _nothing_wider(name: str, kept: object, asked: object) -> bool:
+    return False
+
+
 def _nothing_to_say(entries: Entries, found: Entries) -> str:
     return ""
 
@@ -269,6 +276,7 @@ class OtProtocol:
         lists: further keys in a subject file whose values are lists of strings, each with its meaning.
         declares: returns what a named command adds to these lists, from the operation that it performs and the texts of its effect, with
             ``+`` in the place of each level, between slashes, that an argument has a part in.
+        covers: tells whether a call with one value of an input, of this name, is about all that another one with another value is about.
         framing: decoding of recorded bytes; None when only the mock can be the witness.
         unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
             asked for nothing.
@@ -332,6 +340,7 @@ class OtProtocol:
     choices: tuple[Choice, ...] = ()
     lists: Mapping[str, str] = field(default_factory=dict)
     declares: Callable[[str, Mapping[str, str]], Mapping[str, Sequence[str]]] = _declares_nothing
+    covers: Callable[[str, object, object], bool] = _nothing_wider
     framing: Framing | None = None
     onboarding: str | None = None
     title: Callable[[JournalEntry], str] | None = None

@@ -170,13 +170,22 @@ class StoredDraw(TypedDict):
     step: float
 
 
+class StoredEffect(TypedDict):
+    """A further request of a named command: an operation and the template of its inputs."""
+
+    operation: str
+    effect: dict[str, Any]
+    documents: list[str]
+
+
 class StoredCommand(TypedDict):
-    """The effect of a named command; see the subject file."""
+    """The effect of a named command; see the subject file. ``then``: what comes after it, in this order."""
 
     name: str
     draws: dict[str, StoredDraw]
     effect: dict[str, Any]
     documents: list[str]
+    then: NotRequired[list[StoredEffect]]
 
 
 class StoredBinding(TypedDict):
@@ -193,6 +202,8 @@ class StoredBinding(TypedDict):
     names: dict[str, dict[str, Any]]
     convert: dict[str, str]
     max_age_s: NotRequired[float | None]
+    keep: NotRequired[dict[str, StoredOutputRule]]
+    topicless: NotRequired[bool]
     command: NotRequired[StoredCommand | None]
 
 
@@ -397,7 +408,7 @@ class Call(TypedDict):
     """One tool call.
 
     ``operation`` and ``inputs``: what the steps asked for; ``tool`` and ``arguments``: what the subject file makes of it.
-    ``altered``: how the steps changed these arguments. ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all; ``frames_sha256`` is the digest of these frames as they were,
+    ``altered``: how the steps changed these arguments. ``taken``: the handles of earlier calls that they hold, by ``step.name``. ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all; ``frames_sha256`` is the digest of these frames as they were,
     before any was cut off.
     """
 
@@ -419,6 +430,7 @@ class Call(TypedDict):
     outputs: dict[str, Any]
     error_code: str | None
     altered: NotRequired[Altered]
+    taken: NotRequired[dict[str, Any]]
     frames_sha256: NotRequired[str]
     frames: NotRequired[Frames]
 

@@ -6,6 +6,7 @@ What is judged again, and what is believed:
 - For a reply without frames, which had no fault, the envelope is read again: schema, codes, contradictions within it, its
   clock against the kit's. It is believed that its text block said the same and that ``isError`` agreed.
 - Frames that are cut off, are no UTF-8, or held a secret cannot be read again: envelope and faults of such a reply are believed.
+- The handles that a call took from the answers of earlier ones are believed: the connect step is no call of the record.
 - The outputs that a Python function of a subject returned are believed; everything that follows from them is judged again.
 - Tool and arguments must be those that the stored binding makes of what the steps ask for; outputs are read anew.
 """
@@ -48,6 +49,7 @@ def _binding(case: Mapping[str, Any]) -> Binding:
     answering = case["answering"]
     rules = {
         "outputs": {name: OutputRule(**rule) for name, rule in case["outputs"].items()},
+        "keep": {name: OutputRule(**rule) for name, rule in case.get("keep", {}).items()},
         "answering": Answering(
             form=answering["form"],
             outcome=tuple(OutcomeRule(**rule) for rule in answering["outcome"]),
@@ -84,7 +86,7 @@ def recorded_reply(
         binding = next((case for case in cases if case.fits(inputs)), None)
         if binding is None:
             raise HistoryError(f"no binding of {call['operation']} is stored for {inputs}")
-        arguments, tool = binding.fill(inputs, endpoint), binding.tool
+        arguments, tool = binding.fill(inputs, endpoint, call.get("taken", {})), binding.tool
         if altered is not None:
             arguments, tool = altered.applied(arguments), altered.tool or tool
     if tool != call["tool"] or not same_json(arguments, call["arguments"]):
@@ -95,19 +97,17 @@ def recorded_reply(
     exchange = _exchange(call)
     if exchange is None:
         return _believed(call)
-    expected = Expectation(
-        adapter=call["adapter"],
-        variant=call["variant"],
-        operation=call["operation"],
-        deadline_s=deadline_s,
-        answering=Answering(form="text") if binding is None else binding.answering,
-        outputs={} if binding is None else binding.outputs_for(inputs),
-        # Only the read-only variant may do without a tool.
-        # Of its own tools a variant that may write lists each; of another tool that the steps name the record says it.
-        listed=call["listed"] or (call["variant"] == READ_WRITE and (altered is None or altered.tool is None)),
-    )
-    reply = observe(exchange, expected)
-    return replace_outputs(reply, call["outputs"], _refusal(call)) if binding is None else reply
+    # Only the read-only variant may do without a tool.
+    # Of its own tools a variant that may write lists each; of another tool that the steps name the record says it.
+    listed = call["listed"] or (call["variant"] == READ_WRITE and (altered is None or altered.tool is None))
+    made = {name: call[name] for name in ("adapter", "variant", "operation")}
+    if binding is None:
+        reply = observe(
+            exchange,
+            Expectation(**made, deadline_s=deadline_s, answering=Answering(form="text"), outputs={}, listed=listed),
+        )
+        return replace_outputs(reply, call["outputs"], _refusal(call))
+    return observe(exchange, Expectation.of(binding, inputs, **made, deadline_s=deadline_s, listed=listed))
 
 
 def _refusal(call: Mapping[str, Any]) -> tuple[str, str] | None:

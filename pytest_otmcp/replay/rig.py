@@ -29,7 +29,7 @@ from ..subject.model import READ_WRITE, Binding
 from ..trial.alteration import Alteration
 from ..trial.ledger import Ledger
 from ..trial.reply import Reply
-from ..trial.rig import Entry, FreshSession, Rig, adapter_name
+from ..trial.rig import EndedError, Entry, FreshSession, Rig, adapter_name
 from .device import DeviceHistory
 from .reply import HistoryError, recorded_reply
 
@@ -246,6 +246,9 @@ class ReplayRig(Rig):
     def lacks(self) -> Collection[str]:
         return self._state.adapter.facts["lacks"]
 
+    def judges(self, output: str) -> bool:
+        return output not in self._state.adapter.facts["unjudged"]
+
     @property
     def addresses(self) -> list[tuple[str, int]]:
         endpoints = self._state.history.facts["endpoints"]
@@ -267,10 +270,10 @@ class ReplayRig(Rig):
     def addressed_by(self) -> Sequence[str]:
         return self._state.adapter.facts.get("addressed_by", [])
 
-    def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
+    def _is_bound(self, operation: str, inputs: Mapping[str, object], *, first: bool = False) -> bool:
         # An operation that was never used has no bindings in the record: then it was no way to prove anything.
         cases = self._state.adapter.bindings.get(operation, [])
-        return cases is None or any(case.fits(inputs) for case in cases)
+        return cases is None or any(case.fits(inputs) and not (first and case.follows) for case in cases)
 
     @property
     def running(self) -> bool:
@@ -326,7 +329,13 @@ class ReplayRig(Rig):
         return entries
 
     async def _perform(self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None) -> Reply:
-        call = self._past.call(self._state, operation, inputs, together=self._ledger.together)
+        try:
+            call = self._past.call(self._state, operation, inputs, together=self._ledger.together)
+        except HistoryError:
+            # The call that should have yielded a handle has failed, and this one was not made.
+            if self._ledger.failed and any(case.follows for case in self.bindings(operation) or ()):
+                raise EndedError from None
+            raise
         stated = None if altered is None else altered.as_record()
         if not same_json(call.get("altered"), stated):
             raise HistoryError(

@@ -12,7 +12,7 @@ from typing import Any
 
 from .addressing import mentions_address
 from .claims import Claims
-from .model import Adapter, placeholders
+from .model import Adapter, handles, placeholders
 
 __all__ = ["check_bindings"]
 
@@ -62,7 +62,7 @@ def _compare(
             yield f"{where}.arguments.{argument}: the tool {tool!r} has no such argument; {hint}"
     for argument, value in arguments.items():
         if (
-            not placeholders(value)
+            not (placeholders(value) or handles(value))
             and not mentions_address(value)
             and (problem := _misfit(value, properties.get(argument)))
         ):

@@ -45,6 +45,7 @@ def _binding(table: Mapping[str, Any], key: str, answering: Answering) -> Bindin
         tool=table["resource"] if "resource" in table else table["tool"],
         resource="resource" in table,
         blocking=table["blocking"],
+        topicless=table["topic"] == "subscribed",
         arguments=table["arguments"],
         outputs={name: output_rule(rule) for name, rule in table["result"].items()},
         answering=read_answering(table, key, answering),
@@ -53,6 +54,7 @@ def _binding(table: Mapping[str, Any], key: str, answering: Answering) -> Bindin
         names=table["names"],
         convert=table["as"],
         max_age_s=_max_age_s(table, key, answering),
+        keep={name: output_rule(rule) for name, rule in table["keep"].items()},
     )
 
 

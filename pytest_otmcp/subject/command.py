@@ -16,8 +16,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..core.strict_json import same_json
+from ..protocols.exercise import THEN
 
-__all__ = ["LARGEST", "Command", "Draw", "is_computed", "is_number", "names_in"]
+__all__ = ["LARGEST", "Command", "Draw", "Effect", "is_computed", "is_number", "names_in", "pattern"]
 
 _NUMBER = r"\d{1,15}(?:\.\d{1,9})?"
 _WHOLE = re.compile(rf"\$(?P<name>\w+)(?: ?\* ?(?P<scale>-?{_NUMBER}))?(?: ?(?P<sign>[+-]) ?(?P<offset>{_NUMBER}))?")
@@ -82,6 +83,15 @@ class Draw:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """A further request of a command; its members are as those of :class:`Command`."""
+
+    operation: str
+    effect: Mapping[str, Any]
+    documents: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
     """The effect of a tool on the device.
 
@@ -91,12 +101,14 @@ class Command:
         effect: template of the operation's inputs: ``$name`` is what an argument means at the device, also within a text, and with a
             factor and a number to be added.
         documents: inputs of the operation that are texts, and that the file states as a JSON document.
+        then: what the device gets after that, in this order.
     """
 
     name: str
     draws: Mapping[str, Draw]
     effect: Mapping[str, Any]
     documents: tuple[str, ...] = field(default=())
+    then: tuple[Effect, ...] = field(default=())
 
     @property
     def count(self) -> int:
@@ -129,15 +141,19 @@ class Command:
 
     def arguments(self, inputs: Mapping[str, object]) -> dict[str, Any] | None:
         """Return the values of the tool's arguments that ask for these inputs of the operation; None where none do."""
-        if inputs.keys() != self.effect.keys():
+        further: Any = inputs.get(THEN, [])
+        if [one["operation"] for one in further] != [one.operation for one in self.then]:
             return None
         found: dict[str, int] = {}
-        for name, template in self.effect.items():
-            value = inputs[name]
-            if name in self.documents:
-                value = _document(value)
-            if not self._match(template, value, found):
+        asked = [{name: value for name, value in inputs.items() if name != THEN}, *(one["inputs"] for one in further)]
+        parts: list[Command | Effect] = [self, *self.then]
+        for stated, wanted in zip(parts, asked, strict=True):
+            if wanted.keys() != stated.effect.keys():
                 return None
+            for name, template in stated.effect.items():
+                value = _document(wanted[name]) if name in stated.documents else wanted[name]
+                if not self._match(template, value, found):
+                    return None
         return self._values(found) if found.keys() >= self.draws.keys() else None
 
     def effect_of(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -156,11 +172,6 @@ class Command:
             indices[name] = index
         return self._inputs(indices)
 
-    def pattern(self, name: str, wildcard: str) -> str:
-        """Return the text of an input with a wildcard in the place of each level, between slashes, that an argument has a part in."""
-        levels = str(self.effect[name]).split("/")
-        return "/".join(wildcard if _WITHIN.search(level) else level for level in levels)
-
     @classmethod
     def of_record(cls, stored: Mapping[str, Any]) -> Command:
         """Return the command that a run record has.
@@ -171,11 +182,16 @@ class Command:
         draws = {name: Draw(**draw) for name, draw in stored["draws"].items()}
         if not all(draw.is_possible for draw in draws.values()):
             raise ValueError("a command draws from a range that there is not")
-        return cls(**{**stored, "draws": draws})
+        then = tuple(Effect(**effect) for effect in stored.get(THEN, ()))
+        return cls(**{**stored, "draws": draws, "then": then})
 
     def _inputs(self, indices: Mapping[str, int]) -> dict[str, Any]:
-        filled = {name: self._filled(template, indices) for name, template in self.effect.items()}
-        return {name: json.dumps(value) if name in self.documents else value for name, value in filled.items()}
+        then = [{"operation": one.operation, "inputs": self._inputs_of(one, indices)} for one in self.then]
+        return self._inputs_of(self, indices) | ({THEN: then} if then else {})
+
+    def _inputs_of(self, stated: Command | Effect, indices: Mapping[str, int]) -> dict[str, Any]:
+        filled = {name: self._filled(template, indices) for name, template in stated.effect.items()}
+        return {name: json.dumps(value) if name in stated.documents else value for name, value in filled.items()}
 
     def _filled(self, template: Any, indices: Mapping[str, int]) -> Any:
         if isinstance(template, Mapping):
@@ -234,6 +250,11 @@ def names_in(template: object) -> set[str]:
     if isinstance(template, Mapping):
         return set().union(*map(names_in, template.values()))
     return set().union(*map(names_in, template)) if isinstance(template, list | tuple) else set()
+
+
+def pattern(text: str, wildcard: str) -> str:
+    """Return a text of an effect with a wildcard in the place of each level, between slashes, that an argument has a part in."""
+    return "/".join(wildcard if _WITHIN.search(level) else level for level in text.split("/"))
 
 
 def is_computed(template: object, name: str) -> bool:

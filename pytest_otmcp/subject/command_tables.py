@@ -8,7 +8,7 @@ from typing import Any
 
 from ..protocols.protocol import OtProtocol
 from .bindings import read_answering
-from .command import Command, Draw, is_computed, is_number, names_in
+from .command import Command, Draw, Effect, is_computed, is_number, names_in, pattern
 from .kinds import Refusal, nearest
 from .model import Answering, Binding, Function, placeholders
 from .placeholder_check import check_placeholders
@@ -49,27 +49,28 @@ def declared_by(operations: Mapping[str, tuple[Binding, ...] | Function], protoc
     for name, bound in operations.items():
         cases = () if isinstance(bound, Function) else bound
         for command in (case.command for case in cases if case.command is not None):
-            texts = {key: command.pattern(key, "+") for key, value in command.effect.items() if isinstance(value, str)}
-            for key, values in protocol.declares(name, texts).items():
-                added.setdefault(key, []).extend(values)
+            for operation, effect in ((name, command.effect), *((one.operation, one.effect) for one in command.then)):
+                texts = {key: pattern(value, "+") for key, value in effect.items() if isinstance(value, str)}
+                for key, values in protocol.declares(operation, texts).items():
+                    added.setdefault(key, []).extend(values)
     return {key: list(dict.fromkeys(values)) for key, values in added.items()}
 
 
 def _command(
     name: str, table: Mapping[str, Any], key: str, answering: Answering, protocol: OtProtocol
 ) -> tuple[str, Binding]:
-    (operation, effect), *_ = table["effect"].items()
-    described = protocol.operations[operation]
+    stated = table["effect"] if isinstance(table["effect"], list) else [table["effect"]]
+    (first, *then) = (_effect(operation, inputs, protocol) for one in stated for operation, inputs in one.items())
+    effect = [first.effect, *(one.effect for one in then)]
     draws = _draws(table, key)
-    arguments, within = table["arguments"], f"{key}.effect.{operation}"
+    arguments, within = table["arguments"], f"{key}.effect" if then else f"{key}.effect.{first.operation}"
     _check_names(draws, placeholders(arguments), f"{key}.arguments", "is given to no argument of the tool")
     _check_names(draws, names_in(effect), within, "has no part in it, so that nothing says what it does at the device")
     for argument, draw in draws.items():
         if is_computed(effect, argument) and not all(map(is_number, draw.means or draw.values)):
             raise Refusal(within, f"makes a number from ${argument}, which is no number for each of its values")
     check_placeholders(arguments, f"{key}.arguments", tuple(draws))
-    documents = (one for one in described.documents if isinstance(effect.get(one), dict | list))
-    command = Command(name=name, draws=draws, effect=effect, documents=tuple(documents))
+    command = Command(name=name, draws=draws, effect=first.effect, documents=first.documents, then=tuple(then))
     if command.is_ambiguous:
         raise Refusal(within, "two values of an argument are the same at the device, or run into one another in a text")
     binding = Binding(
@@ -83,7 +84,12 @@ def _command(
         convert={},
         command=command,
     )
-    return operation, binding
+    return first.operation, binding
+
+
+def _effect(operation: str, inputs: Mapping[str, Any], protocol: OtProtocol) -> Effect:
+    documents = (one for one in protocol.operations[operation].documents if isinstance(inputs.get(one), dict | list))
+    return Effect(operation=operation, effect=inputs, documents=tuple(documents))
 
 
 def _draws(table: Mapping[str, Any], key: str) -> dict[str, Draw]:

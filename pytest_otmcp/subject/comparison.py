@@ -61,8 +61,11 @@ def stored_bindings(adapter: Adapter, operation: str) -> list[dict[str, Any]] | 
 
 def _stored(binding: Binding) -> dict[str, Any]:
     stored = asdict(binding)
-    if binding.command is None:
-        del stored["command"]
+    if binding.command is not None and not binding.command.then:
+        del stored["command"]["then"]
+    for name in ("command", "keep", "topicless"):
+        if not stored[name]:
+            del stored[name]
     return stored
 
 

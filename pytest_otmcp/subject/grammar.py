@@ -156,6 +156,7 @@ OUTPUT_TABLE = Table(
     }
 )
 _OUTPUT = Named("output", ByType(str, PATH, OUTPUT_TABLE))
+_KEEP = MapOf(_OUTPUT)
 _RANGE = Table(
     {
         "lowest": Key(NUMBER, "The lowest value.", required=True),
@@ -211,6 +212,11 @@ def adapter_table(protocol: OtProtocol) -> Table:
         {
             "tool": Key(TEXT, "Name of the MCP tool.", required=True),
             "arguments": Key(_TABLE, "Its arguments; {host} and its like are replaced.", default={}),
+            "keep": Key(
+                _KEEP,
+                "Handle to its place in the answer; arguments of later calls take it as $connect.HANDLE.",
+                default={},
+            ),
         }
     )
     return Table(
@@ -315,10 +321,20 @@ def binding_table(operation: Operation) -> Table:
             "resource": Key(TEXT, "URI of a resource to read instead."),
             "arguments": Key(Template(inputs), f"Template; inputs: {known}.", default={}),
             "result": Key(result, "Where the outputs are.", default={}, required=bool(operation.needed)),
+            "keep": Key(
+                _KEEP,
+                "Handle to its place in the answer; arguments of later calls take it as $OPERATION.HANDLE.",
+                default={},
+            ),
             "when": Key(_by_input(inputs, ANYTHING), "Values of inputs for which this is the tool.", default={}),
             "offset": Key(_by_input(inputs, NUMBER), "Number added to an input.", default={}),
             "names": Key(_by_input(inputs, _TABLE), "The vendor's name for each value of an input.", default={}),
             "as": Key(_by_input(inputs, _INPUT_TYPE), "The type in which the tool wants an input.", default={}),
+            "topic": Key(
+                OneOf(("told", "subscribed")),
+                "'subscribed' for messages without a topic: they are of the topic that is asked for.",
+                default="told",
+            ),
             "blocking": Key(FLAG, "The call waits for what it answers.", default=False),
             "source": Key(
                 OneOf(("device", "cache")), "'cache' for a status that may be a moment old.", default="device"
@@ -328,22 +344,19 @@ def binding_table(operation: Operation) -> Table:
         },
         rules=(_HAS_A_TOOL, _RESOURCE_STANDS_ALONE, _CACHE_HAS_AN_AGE)
         + (() if operation.status else (_KNOWN_FROM_THE_DEVICE,))
-        + ((_ANSWERS_AT_ONCE,) if operation.waits is None else ()),
+        + ((_ANSWERS_AT_ONCE,) if operation.waits is None else ())
+        + ((_HAS_NO_TOPIC,) if operation.topic_of is None else ()),
     )
 
 
 def command_table(protocol: OtProtocol) -> Table:
     """Return the grammar of one named command."""
-    effects = {
-        name: Key(_effect(operation), _sentence(operation.meaning))
-        for name, operation in protocol.operations.items()
-        if operation.writes
-    }
-    one = Rule(
-        holds=lambda table: len(table) == 1,
-        objection=f"expected one operation that writes, such as {next(iter(effects), 'none')}",
-        described={"minProperties": 1, "maxProperties": 1},
-    )
+    writing = {name: operation for name, operation in protocol.operations.items() if operation.writes}
+    effect: Kind = _one_of(writing)
+    recognised = protocol.exercise.recognised if protocol.exercise is not None else {}
+    if recognised:
+        each = _one_of({name: operation for name, operation in writing.items() if name in recognised})
+        effect = ByType(list, ListOf(each, "a list of effects, in their order", least=1), effect)
     return Table(
         {
             "tool": Key(TEXT, "Name of the MCP tool; without it that of the command."),
@@ -359,10 +372,25 @@ def command_table(protocol: OtProtocol) -> Table:
                 default={},
             ),
             "effect": Key(
-                Table(effects, rules=(one,)), "What the device gets: an operation with its inputs.", required=True
+                effect,
+                "What the device gets: an operation with its inputs, or a list of these, in their order.",
+                required=True,
             ),
             **_answering("; without it as the adapter does"),
         }
+    )
+
+
+def _one_of(operations: Mapping[str, Operation]) -> Table:
+    return Table(
+        {name: Key(_effect(operation), _sentence(operation.meaning)) for name, operation in operations.items()},
+        rules=(
+            Rule(
+                holds=lambda table: len(table) == 1,
+                objection=f"expected one operation that writes, such as {next(iter(operations), 'none')}",
+                described={"minProperties": 1, "maxProperties": 1},
+            ),
+        ),
     )
 
 
@@ -481,6 +509,12 @@ _KNOWN_FROM_THE_DEVICE = Rule(
     at="source",
     objection="only a status may come from a cache",
     described={"properties": {"source": {"const": "device"}}},
+)
+_HAS_NO_TOPIC = Rule(
+    holds=lambda table: table.get("topic") != "subscribed",
+    at="topic",
+    objection="only messages are of a topic",
+    described={"properties": {"topic": {"const": "told"}}},
 )
 _ANSWERS_AT_ONCE = Rule(
     holds=lambda table: not table.get("blocking"),

@@ -24,10 +24,11 @@ from ..protocols.bounds import Bounds, Times
 from ..protocols.protocol import LAUNCHES, RECOVERY
 from ..protocols.registry import protocols
 from .addressing import check_addresses
-from .bindings import read_answering, read_bindings
+from .bindings import output_rule, read_answering, read_bindings
 from .command_tables import declared_by, with_commands
 from .functions import load_functions, named_functions
 from .grammar import subject_file
+from .handles import check_handles
 from .kinds import Refusal
 from .model import (
     BOUNDED,
@@ -126,6 +127,7 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
     added = declared_by(operations, known)
     _check_placeholders(table, key, operations)
     check_addresses(protocol, operations, connect, f"{key}.bind")
+    check_handles(operations, connect, table.get("ready", {}).get("arguments"), key)
     return Adapter(
         protocol=protocol,
         directory=path.parent.resolve(),
@@ -248,7 +250,9 @@ def _url(table: Mapping[str, Any], key: str) -> str | None:
 def _connect(table: Mapping[str, Any]) -> Connect | None:
     if "connect" not in table:
         return None
-    return Connect(**table["connect"], again=table["recovery"] == "connect_step")
+    step = table["connect"]
+    keep = {name: output_rule(rule) for name, rule in step["keep"].items()}
+    return Connect(tool=step["tool"], arguments=step["arguments"], again=table["recovery"] == "connect_step", keep=keep)
 
 
 def _ready(table: Mapping[str, Any], key: str, answering: Answering) -> Ready | None:

@@ -8,8 +8,9 @@ import json
 import os
 import re
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, cast
 
 from ..protocols.bounds import Bounds, Times
@@ -20,6 +21,7 @@ from .command import Command
 
 __all__ = [
     "BOUNDED",
+    "CONNECT",
     "NO_CONTROL",
     "READ_ONLY",
     "READ_WRITE",
@@ -37,6 +39,7 @@ __all__ = [
     "Subject",
     "Variant",
     "environment_names",
+    "handles",
     "placeholders",
     "replace_placeholders",
     "replace_template",
@@ -49,6 +52,9 @@ BOUNDED = LAUNCHES[BOUNDS]
 RETIMED = LAUNCHES[TIMES]
 """The variants of an adapter: with writes enabled; with writes disabled; with writes enabled, without control of the device itself; with
 writes enabled within bounds; and with other limits of time. A subject need not have the last three."""
+
+CONNECT = "connect"
+"""The step whose handles every later call may take."""
 
 _PLACEHOLDER = re.compile(r"\{(?:env:(?P<env>\w+)|(?P<name>\w+)(?::(?P<int>int))?)\}")
 
@@ -187,8 +193,9 @@ class Binding:
         tool: name of the MCP tool, or URI of the resource.
         resource: ``tool`` is the URI of a resource, which is read.
         blocking: the call waits for the messages that it returns.
-        arguments: template; a string ``"$name"`` stands for the operation's input of that name, keeping its type, and
-            ``{host}`` and its like are replaced as in a launch command.
+        topicless: the messages that it returns are payloads without their topics.
+        arguments: template; a string ``"$name"`` stands for the operation's input of that name, keeping its type, ``"$step.name"``
+            for a handle that an earlier call kept, and ``{host}`` and its like are replaced as in a launch command.
         outputs: output name to its place in the answer.
         when: input values for which this binding is meant; empty for all.
         offset: number added to an input.
@@ -196,6 +203,7 @@ class Binding:
         convert: input name to the type in which the tool wants it.
         answering: how the tool's answers are read.
         max_age_s: how old an answer may be that comes from a cache, as declared; None for one that must not.
+        keep: handle to its place in the answer, for the arguments of later calls of the session.
         command: the effect of a named command; then the template's names are those of the values that the command draws, and the binding
             is for the inputs that the command can express. None for a tool that is the operation itself.
     """
@@ -210,18 +218,22 @@ class Binding:
     convert: Mapping[str, str]
     resource: bool = False
     blocking: bool = False
+    topicless: bool = False
     max_age_s: float | None = None
+    keep: Mapping[str, OutputRule] = field(default_factory=dict)
     command: Command | None = None
 
-    def fill(self, inputs: Mapping[str, object], endpoint: Mapping[str, str]) -> dict[str, Any]:
-        """Return the tool's arguments for these inputs; the argument for an input that is not given is left out."""
-        filled: dict[str, Any]
-        if self.command is not None:
-            filled = replace_template(self.arguments, self.command.arguments(inputs) or {}, endpoint)
-            return filled
-        prepared = self.told(inputs)
-        template = _without(self.arguments, placeholders(self.arguments) - prepared.keys())
-        filled = replace_template(template, prepared, endpoint)
+    def fill(
+        self,
+        inputs: Mapping[str, object],
+        endpoint: Mapping[str, str],
+        taken: Mapping[str, object] = MappingProxyType({}),
+    ) -> dict[str, Any]:
+        """Return the tool's arguments for these inputs and handles; the argument for one that is not given is left out."""
+        values = self.told(inputs) if self.command is None else self.command.arguments(inputs) or {}
+        given = {**values, **taken}
+        template = _without(self.arguments, (placeholders(self.arguments) | handles(self.arguments)) - given.keys())
+        filled: dict[str, Any] = replace_template(template, given, endpoint)
         return filled
 
     def told(self, inputs: Mapping[str, object]) -> dict[str, Any]:
@@ -249,6 +261,11 @@ class Binding:
         if self.command is not None:
             return self.command.arguments(inputs) is not None
         return all(inputs.get(name) == value for name, value in self.when.items())
+
+    @property
+    def follows(self) -> bool:
+        """Whether the call takes a handle that another operation keeps."""
+        return any(not name.startswith(f"{CONNECT}.") for name in handles(self.arguments))
 
     def mentions(self, name: str) -> bool:
         """Tell whether the template, or the effect of a command, has a place for this input."""
@@ -296,12 +313,21 @@ def _stands_for(template: object, names: set[str]) -> bool:
 
 def placeholders(template: object) -> set[str]:
     """Return the names of the inputs that a template has a place for."""
+    return {name for name in _names(template) if "." not in name}
+
+
+def handles(template: object) -> set[str]:
+    """Return the handles that a template has a place for, each as ``step.name``."""
+    return {name for name in _names(template) if "." in name}
+
+
+def _names(template: object) -> set[str]:
     if isinstance(template, str):
         return {template[1:]} if template.startswith("$") else set()
     if isinstance(template, Mapping):
-        return set().union(*map(placeholders, template.values()))
+        return set().union(*map(_names, template.values()))
     if isinstance(template, list):
-        return set().union(*map(placeholders, template))
+        return set().union(*map(_names, template))
     return set()
 
 
@@ -325,11 +351,13 @@ class Connect:
 
     Attributes:
         again: the call is repeated after an outage.
+        keep: as of a binding.
     """
 
     tool: str
     arguments: Mapping[str, Any]
     again: bool
+    keep: Mapping[str, OutputRule] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -549,7 +577,7 @@ class Adapter:
             "lacks": sorted(self.missing_inputs()),
             "probes": dict(self.probes),
             "bindings": {},
-            "unjudged": sorted(self._unjudged()),
+            "unjudged": sorted(self.unjudged()),
             "unmet": [],
             "listing": {},
             "server_name": None,
@@ -578,9 +606,14 @@ class Adapter:
             if name in self.operations and self.why_not_testable(f"{name}.{optional}") is not None
         }
 
-    def _unjudged(self) -> set[str]:
-        """Return the outputs that tasks could judge if the subject file said where they are."""
-        return {
+    def unjudged(self) -> set[str]:
+        """Return the outputs that tasks could judge if the subject file said where they are, and ``messages.topic`` where messages have none."""
+        topicless = {
+            f"{name}.topic"
+            for name, bound in self.operations.items()
+            if isinstance(bound, tuple) and any(binding.topicless for binding in bound)
+        }
+        return topicless | {
             f"{name}.{output}"
             for name, bound in self.operations.items()
             if isinstance(bound, tuple)

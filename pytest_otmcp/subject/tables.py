@@ -13,7 +13,8 @@ __all__ = ["ByType", "Key", "ListOf", "MapOf", "Named", "Rule", "Table", "Templa
 
 @dataclass(frozen=True, slots=True)
 class Template(Kind):
-    """A table of a tool's arguments, with ``"$name"`` for an input of that name, anywhere in nested tables and lists."""
+    """A table of a tool's arguments, with ``"$name"`` for an input of that name, and ``"$step.name"`` for a handle that another call keeps,
+    anywhere in nested tables and lists."""
 
     inputs: tuple[str, ...]
 
@@ -24,7 +25,7 @@ class Template(Kind):
         return value
 
     def _check(self, value: object, key: str) -> None:
-        if isinstance(value, str) and value.startswith("$") and value[1:] not in self.inputs:
+        if isinstance(value, str) and value.startswith("$") and "." not in value and value[1:] not in self.inputs:
             known = ", ".join(f"${name}" for name in self.inputs) or "none"
             raise Refusal(key, f"{value} is no input of this operation; its inputs are: {known}")
         if isinstance(value, dict):

@@ -36,23 +36,33 @@ from ..subject.addressing import addressed_by, carries_address
 from ..subject.answers import Answer, interpret, read_answer
 from ..subject.comparison import stored_bindings
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
+from ..subject.handles import Handles
 from ..subject.imports import libraries_used
 from ..subject.model import (
+    CONNECT,
     READ_WRITE,
     Adapter,
     Answering,
     Binding,
     Function,
-    OutputRule,
     Variant,
+    handles,
     replace_placeholders,
     replace_template,
 )
 from .alteration import Alteration, expanded
 from .cursor import JournalCursor
-from .reply import Expectation, Reply, observe, replace_outputs
+from .reply import Expectation, Reply, kept_of, observe, replace_outputs
 
-__all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "EndedSession", "NoBindingError", "endpoint_values"]
+__all__ = [
+    "MAIN",
+    "AdapterUnderTest",
+    "BenchOptions",
+    "EndedSession",
+    "NoBindingError",
+    "NoHandleError",
+    "endpoint_values",
+]
 
 _EXIT_GRACE_S = 5.0
 """Time that an adapter has from the end of its stdin to its exit (requirement MCP-009)."""
@@ -89,6 +99,10 @@ def endpoint_values(scheme: str, endpoints: Mapping[str, Endpoint]) -> dict[str,
 
 class NoBindingError(Exception):
     """The subject claims something but does not say how to ask for it: the item is not testable."""
+
+
+class NoHandleError(NoBindingError):
+    """A call takes a handle that no earlier call of the session has yielded."""
 
 
 AUTO = "auto"
@@ -181,6 +195,7 @@ class AdapterUnderTest:
         self._searches: list[SecretSearch] = []
         self._told: set[str] = set()
         self._addressed = False
+        self._handles = self._no_handles()
         self._launched: Variant | None = None
         self.legacy = False
         self._garbled: Mapping[str, str] = {}
@@ -329,6 +344,7 @@ class AdapterUnderTest:
         self.cursor.open_session(await self.device.mark() if self.device.running else self.cursor.next)
         try:
             session = await self._opened()
+            self._handles = self._no_handles()
             self.session, self.tools = session, session.tools
             if not self._by_handshake:
                 self._server = {
@@ -428,7 +444,23 @@ class AdapterUnderTest:
         step = self.adapter.connect
         if step is None:
             return None
-        return await self._failure_of(step.tool, step.arguments, self.adapter.answering)
+        answer, message = await self._asked(step.tool, step.arguments, self.adapter.answering)
+        if not answer.success or not step.keep:
+            return None if answer.success else answer.text
+        values = kept_of(step.keep, message, self.adapter.answering)
+        if lacking := [name for name, value in values.items() if value is None]:
+            return f"its answer has nothing where 'keep' looks for {' and '.join(lacking)}; it said: {answer.text}"
+        self._handles.keep(CONNECT, step.tool, {}, values)
+        return None
+
+    def _no_handles(self) -> Handles:
+        return Handles(protocols()[self.adapter.protocol].covers)
+
+    def _taken(self, binding: Binding, inputs: Mapping[str, object]) -> dict[str, object]:
+        try:
+            return self._handles.take(handles(binding.arguments), inputs)
+        except LookupError as gap:
+            raise NoHandleError(f"{self.adapter.protocol}: {binding.tool} takes {gap.args[0]}") from None
 
     async def _wait_until_ready(self) -> None:
         """Wait until the adapter says that it is ready, where its subject names a tool that does. Without its device it need not be.
@@ -443,23 +475,26 @@ class AdapterUnderTest:
             raise SubjectError("not_ready", f"'ready' names the tool {ready.tool!r}, which the adapter does not list")
         limit_s = self.adapter.start_timeout_s * self._options.time_scale
         until = asyncio.get_running_loop().time() + limit_s
-        while (said := await self._failure_of(ready.tool, ready.arguments, ready.answering)) is not None:
+        while not (answer := (await self._asked(ready.tool, ready.arguments, ready.answering))[0]).success:
             if asyncio.get_running_loop().time() > until:
-                message = f"{ready.tool!r} did not say within {limit_s:g} s of the start that the adapter is ready; it said: {said[:2000]}"
+                said = answer.text[:2000]
+                message = f"{ready.tool!r} did not say within {limit_s:g} s of the start that the adapter is ready; it said: {said}"
                 raise SubjectError("not_ready", message)
             await asyncio.sleep(_READY_PAUSE_S)
 
-    async def _failure_of(self, tool: str, arguments: Mapping[str, object], answering: Answering) -> str | None:
-        """Call a tool for which no operation stands; return the words of its failure, or None."""
-        told = replace_template(arguments, {}, self.endpoint)
+    async def _asked(
+        self, tool: str, arguments: Mapping[str, object], answering: Answering
+    ) -> tuple[Answer, Mapping[str, object]]:
+        """Call a tool for which no operation stands; return its answer as the rules read it, and as it came."""
+        told = replace_template(arguments, self._handles.take(handles(arguments), {}), self.endpoint)
         exchange = await self._current().call(tool, told, timeout_s=1.2 * self.deadline_s)
         if exchange.response is None:
-            return f"no reply ({exchange.failure})"
+            return Answer(success=False, document=None, text=f"no reply ({exchange.failure})"), {}
         try:
-            answer = interpret(parse_strict(exchange.response), answering)
+            message = parse_strict(exchange.response)
         except ValueError as error:
-            return f"the response is not strict JSON: {error}"
-        return None if answer.success else answer.text
+            return Answer(success=False, document=None, text=f"the response is not strict JSON: {error}"), {}
+        return interpret(message, answering), message
 
     async def close(self) -> None:
         """Close the session, if there is one."""
@@ -534,6 +569,7 @@ class AdapterUnderTest:
 
         Raises:
             NoBindingError: the subject does not say how it is performed.
+            NoHandleError: it takes a handle that no call has yielded.
             KitError: the operation writes, and the session is not proven to talk to the mock device.
         """
         self._guard(operation, writes=protocols()[self.adapter.protocol].operations[operation].writes)
@@ -550,10 +586,12 @@ class AdapterUnderTest:
             )
         # The client gives up a little later than the deadline, so that a late answer is seen to be late.
         timeout_s = 1.2 * self.deadline_s
+        taken: dict[str, object] = {}
         if binding.resource:
             exchange = await session.read_resource(binding.tool, timeout_s=timeout_s)
         else:
-            arguments = binding.fill(inputs, self.endpoint)
+            taken = self._taken(binding, inputs)
+            arguments = binding.fill(inputs, self.endpoint, taken)
             tool = binding.tool
             if altered is not None:
                 arguments, tool = altered.applied(arguments), altered.tool or tool
@@ -564,10 +602,23 @@ class AdapterUnderTest:
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
         if altered is not None and altered.tool is not None:
             listed = altered.tool in session.tools
-        expected = self._expectation(operation, binding.answering, binding.outputs_for(inputs), listed=listed)
+        expected = Expectation.of(
+            binding,
+            inputs,
+            adapter=self.adapter.protocol,
+            variant=self.variant,
+            operation=operation,
+            deadline_s=self.deadline_s,
+            listed=listed,
+        )
         if not binding.answering.native:
             self._note_unmet(exchange)
-        return observe(exchange, expected)
+        reply = replace(observe(exchange, expected), taken=taken)
+        if binding.keep and reply.success and exchange.response is not None:
+            rules = {name: rule.about(binding.told(inputs)) for name, rule in binding.keep.items()}
+            values = kept_of(rules, parse_strict(exchange.response), binding.answering)
+            self._handles.keep(operation, binding.tool, dict(inputs), values)
+        return reply
 
     async def call_tool(
         self, tool: str, arguments: Mapping[str, object], *, writes: bool, timeout_s: float
@@ -627,22 +678,15 @@ class AdapterUnderTest:
         bound = self.adapter.operations.get(operation)
         return None if isinstance(bound, Function) else bound or ()
 
-    def is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
-        """Tell whether the subject says how the operation is performed with these inputs."""
-        bound = self.adapter.operations.get(operation)
-        return isinstance(bound, Function) or any(case.fits(inputs) for case in bound or ())
+    def is_bound(self, operation: str, inputs: Mapping[str, object], *, first: bool = False) -> bool:
+        """Tell whether the subject says how the operation is performed with these inputs.
 
-    def _expectation(
-        self, operation: str, answering: Answering, outputs: Mapping[str, OutputRule], *, listed: bool = True
-    ) -> Expectation:
-        return Expectation(
-            adapter=self.adapter.protocol,
-            variant=self.variant,
-            operation=operation,
-            deadline_s=self.deadline_s,
-            answering=answering,
-            outputs=outputs,
-            listed=listed,
+        Args:
+            first: before any other operation.
+        """
+        bound = self.adapter.operations.get(operation)
+        return isinstance(bound, Function) or any(
+            case.fits(inputs) and not (first and case.follows) for case in bound or ()
         )
 
     def _note_unmet(self, exchange: Exchange) -> None:
@@ -673,7 +717,14 @@ class AdapterUnderTest:
             ) from error
         if not tools.exchanges:
             raise NoBindingError(f"the binding function {function.name} called no tool")
-        expected = self._expectation(function.name, Answering(form="text"), {})
+        expected = Expectation(
+            adapter=self.adapter.protocol,
+            variant=self.variant,
+            operation=function.name,
+            deadline_s=self.deadline_s,
+            answering=Answering(form="text"),
+            outputs={},
+        )
         reply = observe(joined(tools.exchanges, inputs), expected)
         return replace_outputs(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
 

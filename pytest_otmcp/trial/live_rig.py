@@ -23,12 +23,12 @@ from ..session.session import McpSession
 from ..subject.addressing import addressed_by
 from ..subject.claims import Claims
 from ..subject.model import Binding, Function
-from .adapter_under_test import AdapterUnderTest
+from .adapter_under_test import AdapterUnderTest, NoHandleError
 from .alteration import Alteration
 from .bench import Bench
 from .ledger import Ledger
 from .reply import Reply
-from .rig import Entry, FreshSession, Rig
+from .rig import EndedError, Entry, FreshSession, Rig
 
 __all__ = ["LiveItemState", "LiveRig"]
 
@@ -153,6 +153,9 @@ class LiveRig(Rig):
     def lacks(self) -> Collection[str]:
         return self.under_test.adapter.missing_inputs()
 
+    def judges(self, output: str) -> bool:
+        return output not in self.under_test.adapter.unjudged()
+
     @property
     def addresses(self) -> list[tuple[str, int]]:
         return [(endpoint.host, endpoint.port) for endpoint in self.device.endpoints.values() if endpoint.port]
@@ -181,8 +184,8 @@ class LiveRig(Rig):
             self.under_test.used[operation] = None
         return found
 
-    def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
-        return self.under_test.is_bound(operation, inputs)
+    def _is_bound(self, operation: str, inputs: Mapping[str, object], *, first: bool = False) -> bool:
+        return self.under_test.is_bound(operation, inputs, first=first)
 
     @property
     def running(self) -> bool:
@@ -200,8 +203,14 @@ class LiveRig(Rig):
         self._ledger.observed(cast(Observation, observation))
 
     async def _perform(self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None) -> Reply:
-        with self._bench.under_way.call(operation):
-            return self._observed(await self.under_test.call(operation, inputs, altered=altered))
+        try:
+            with self._bench.under_way.call(operation):
+                return self._observed(await self.under_test.call(operation, inputs, altered=altered))
+        except NoHandleError:
+            # The call that should have yielded the handle has failed, and that is what the item says.
+            if self._ledger.failed:
+                raise EndedError from None
+            raise
 
     async def _check_away(self) -> None:
         await check_free(self.device.endpoints.values())

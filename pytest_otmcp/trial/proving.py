@@ -53,8 +53,8 @@ class Provable(Protocol):
     def addressed_by(self) -> Sequence[str]:
         """Keys of the subject file that tell the adapter where the device is."""
 
-    def can_ask(self, operation: str, inputs: Mapping[str, object]) -> bool:
-        """The subject claims the operation and says how to ask for it with these inputs."""
+    def can_ask_first(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        """The subject claims the operation and says how to ask for it with these inputs, before any other operation."""
 
     def blocks(self, operation: str) -> bool:
         """The operation is performed by a call that waits for what it answers."""
@@ -110,7 +110,7 @@ async def prove(
         if (way.weak and strong) or way.waiting not in (None, at.blocks(way.operation)):
             continue
         question = way.ask(rng)
-        if not at.can_ask(way.operation, question.inputs):
+        if not at.can_ask_first(way.operation, question.inputs):
             continue
         attempt = await _try(at, way, question, rng, bits, int(_WINDOW_S * max(1.0, time_scale) * 1e9))
         if attempt is None:
@@ -162,7 +162,7 @@ async def why_reachable(at: Provable, *, time_scale: float) -> str | None:
     """
     rng = random.Random(at.protocol)
     calls = protocols()[at.protocol].proof.unreachable
-    asked = next((call for call in calls if at.can_ask(call.operation, call.made(rng))), None)
+    asked = next((call for call in calls if at.can_ask_first(call.operation, call.made(rng))), None)
     if asked is None:
         return "no operation shows whether the adapter reaches another device during an outage; nothing was written"
     failures, begun_ns = 0, 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..core.finding import Finding
@@ -22,9 +22,9 @@ from ..subject.answers import (
     synthesised,
     synthesised_from_outputs,
 )
-from ..subject.model import Answering, OutputRule
+from ..subject.model import Answering, Binding, OutputRule, placeholders
 
-__all__ = ["Expectation", "Reply", "observe", "replace_outputs"]
+__all__ = ["Expectation", "Reply", "kept_of", "observe", "replace_outputs"]
 
 
 _WORDLESS = re.compile(
@@ -44,6 +44,7 @@ class Expectation:
         operation: the abstract operation, such as ``read_input``.
         deadline_s: seconds within which the call must have answered.
         answering, outputs: the subject's rules for reading the answer.
+        topicless: messages are payloads without their topics; ``topic`` is that of all of them, or None where it cannot be known.
         listed: the session lists the tool; the read-only variant may do without its writing tools.
     """
 
@@ -54,6 +55,36 @@ class Expectation:
     answering: Answering
     outputs: Mapping[str, OutputRule]
     listed: bool = True
+    topicless: bool = False
+    topic: str | None = None
+
+    @classmethod
+    def of(
+        cls,
+        binding: Binding,
+        inputs: Mapping[str, object],
+        *,
+        adapter: str,
+        variant: str,
+        operation: str,
+        deadline_s: float,
+        listed: bool,
+    ) -> Expectation:
+        """Return what a call of a binding with these inputs is read by."""
+        described = protocols()[adapter].operations[operation]
+        # Who takes no filter answers with the messages of all subscriptions.
+        asked = bool(placeholders(binding.arguments) & set(described.optional)) or binding.follows
+        return cls(
+            adapter=adapter,
+            variant=variant,
+            operation=operation,
+            deadline_s=deadline_s,
+            answering=binding.answering,
+            outputs=binding.outputs_for(inputs),
+            listed=listed,
+            topicless=binding.topicless,
+            topic=described.topic_of(inputs) if asked and described.topic_of is not None else None,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,6 +99,7 @@ class Reply:
         outputs: the operation's outputs that the binding knows how to find.
         faults: what is wrong with the reply as such, whatever the task expected of it.
         native: the envelope is the adapter's own.
+        taken: the handles of earlier calls that the arguments hold, each by ``step.name``.
         excess: the bound of the tool's own schema that the arguments of a call that failed do not keep; None where they keep all.
     """
 
@@ -80,6 +112,7 @@ class Reply:
     faults: tuple[Finding, ...] = ()
     native: bool = True
     listed: bool = True
+    taken: Mapping[str, object] = field(default_factory=dict)
     excess: str | None = None
 
     @property
@@ -183,6 +216,8 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
     if envelope is not None:
         own = expected.answering.native
         outputs = extract(expected.outputs, envelope if own else read_answer(message, expected.answering.form)[0])
+        if expected.topicless and isinstance(payloads := outputs.get("messages"), list):
+            outputs["messages"] = [{"topic": expected.topic, "payload": payload} for payload in payloads]
     return replace(
         silent,
         envelope=envelope,
@@ -195,6 +230,11 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
         ),
         native=native,
     )
+
+
+def kept_of(rules: Mapping[str, OutputRule], message: Mapping[str, object], answering: Answering) -> dict[str, Any]:
+    """Return the handles that a binding, or the connect step, keeps of a JSON-RPC response; one that is not there is None."""
+    return extract(rules, read_answer(message, "structured" if answering.native else answering.form)[0])
 
 
 def replace_outputs(reply: Reply, outputs: Mapping[str, object], refused: tuple[str, str] | None) -> Reply:

@@ -125,6 +125,10 @@ class Rig(WriteGate):
     def lacks(self) -> Collection[str]:
         """The optional inputs that no binding has a place for, such as ``subscribe.qos``."""
 
+    @abstractmethod
+    def judges(self, output: str) -> bool:
+        """Tell whether the subject says where this output is, such as ``messages.topic``, the topics of messages."""
+
     def accepts_input(self, operation: str, name: str) -> bool:
         """Tell whether the operation can be given this optional or voluntary input."""
         if name in protocols()[self.protocol].operations[operation].voluntary_inputs:
@@ -147,7 +151,7 @@ class Rig(WriteGate):
     # -- named commands -----------------------------------------------------------------------------------
 
     def commands(self) -> list[tuple[str, Command]]:
-        """Return the named commands of the subject, each with the operation that it performs."""
+        """Return the named commands of the subject, each with the operation that it performs first."""
         known = protocols()[self.protocol].operations
         return [
             (name, case.command)
@@ -284,7 +288,7 @@ class Rig(WriteGate):
         taken = {value: name for name, value in binding.arguments.items() if isinstance(value, str)}
         if binding.command is not None:
             # An input that a value has a part in.
-            parts = {name: sorted(names_in(binding.command.effect[name])) for name in inputs}
+            parts = {name: sorted(names_in(template)) for name, template in binding.command.effect.items()}
             return {name: taken[f"${found[0]}"] for name, found in parts.items() if found and f"${found[0]}" in taken}
         return {
             name: taken[f"${name}"]

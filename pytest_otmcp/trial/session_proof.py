@@ -35,8 +35,9 @@ class _Session:
     def addressed_by(self) -> Sequence[str]:
         return addressed_by(self._under_test.adapter)
 
-    def can_ask(self, operation: str, inputs: Mapping[str, object]) -> bool:
-        return self._claims.has(f"{self.protocol}.{operation}") and self._under_test.is_bound(operation, inputs)
+    def can_ask_first(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        bound = self._under_test.is_bound(operation, inputs, first=True)
+        return bound and self._claims.has(f"{self.protocol}.{operation}")
 
     def blocks(self, operation: str) -> bool:
         return operation in self._under_test.adapter.blocking

@@ -57,6 +57,8 @@ def _call(judged: Judged, *, with_frames: bool) -> Call:
     }
     if judged.altered is not None:
         stored["altered"] = judged.altered.as_record()
+    if reply.taken:
+        stored["taken"] = dict(reply.taken)
     if with_frames:
         stored["frames_sha256"] = hashlib.sha256(exchange.request + b"\n" + (exchange.response or b"")).hexdigest()
         stored["frames"] = _frames(reply.faults, exchange)

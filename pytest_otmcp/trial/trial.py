@@ -114,7 +114,9 @@ class Trial:
             self._end("subject", failure.code, str(failure), None if failure.code == "control_channel" else "MCP-002")
             self._take(self._driver.told_at_start())
         except NoBindingError as gap:
-            self._status, self._reason = "NOT_TESTABLE", str(gap)
+            # What was found before stands.
+            if not self._failed:
+                self._status, self._reason = "NOT_TESTABLE", str(gap)
             self._end("binding", "not_testable", str(gap))
         except ExhaustedError as failure:
             self._status = "KIT_ERROR"

@@ -1,6 +1,7 @@
 """Finds what changed the plant without having been asked for, in any repetition of any task. Pure.
 
-A call of an operation that writes accounts for one request that changes the plant, any other call for none. Whatever else the
+A call of an operation that writes accounts for one request that changes the plant, one of a named command with several effects for as
+many, any other call for none. Whatever else the
 device saw of that kind is a finding: of the read that wrote, of the guard that leaked, of the write that was sent again.
 To cancel a call is advice (MCP, Cancellation): a write that is carried out once although the kit has cancelled it is a warning.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from ..core.finding import Finding
+from ..protocols.exercise import THEN
 from ..protocols.journal import Entries, JournalEntry
 from ..protocols.protocol import Declared, OtProtocol
 from ..subject.model import READ_ONLY
@@ -57,7 +59,12 @@ def _begin(window: CallWindow) -> int:
 def _asked(call: Judged, protocol: OtProtocol) -> int:
     if not protocol.operations[call.reply.operation].writes:
         return 0
-    return 0 if _nothing_sent(call) else 1
+    return 0 if _nothing_sent(call) else _effects(call)
+
+
+def _effects(call: Judged) -> int:
+    then = call.inputs.get(THEN, ())
+    return 1 + len(then if isinstance(then, list) else ())
 
 
 def _nothing_sent(call: Judged) -> bool:
@@ -119,7 +126,8 @@ def _finding(
         message = f"{call.reply.label}: it says that nothing was sent, the device saw {what}"
         guarded = call.reply.error_code == "writes_disabled"
         return Finding(code="unasked_write", message=message, requirement="WR-004" if guarded else "ERR-006"), None
-    message = f"{call.reply.label}: one write was asked for, the device saw {what} as well"
+    count = _effects(call)
+    message = f"{call.reply.label}: {'one write was' if count == 1 else f'{count} writes were'} asked for, the device saw {what} as well"
     return Finding(code="unasked_write", message=message, requirement="WR-003"), None
 
 

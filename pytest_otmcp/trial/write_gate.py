@@ -119,6 +119,10 @@ class WriteGate(ABC):
         """Tell whether the subject claims the operation and says how it is performed with these inputs."""
         return self.claims(operation) and self._is_bound(operation, inputs)
 
+    def can_ask_first(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        """Tell whether it is so without a handle that another operation yields."""
+        return self.claims(operation) and self._is_bound(operation, inputs, first=True)
+
     async def arrived(self) -> bool:
         """Tell whether the device has seen a client arrive since the session began."""
         await self._feed()
@@ -160,7 +164,7 @@ class WriteGate(ABC):
         """Let time pass."""
 
     @abstractmethod
-    def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool: ...
+    def _is_bound(self, operation: str, inputs: Mapping[str, object], *, first: bool = False) -> bool: ...
 
     @abstractmethod
     async def _perform(

@@ -16,8 +16,9 @@ __all__ = ["NamedTools", "build"]
 
 _VALVES = {"inlet": 4, "outlet": 5}
 _START_BUTTON = 10
-_PUMP_SPEED = 40
-"""Coils and a register of the plant."""
+_PUMP_SPEED, _BATCH_LITRES = 40, 41
+_START_BATCH = 12
+"""Coils and registers of the plant."""
 
 
 class Speed(Arguments):
@@ -31,6 +32,12 @@ class Valve(Arguments):
 
     valve: Literal["inlet", "outlet"]
     position: Literal["open", "closed"]
+
+
+class Batch(Arguments):
+    """How much a batch is to be."""
+
+    litres: Annotated[int, Field(ge=1, le=500)]
 
 
 class Done(TypedDict):
@@ -68,6 +75,13 @@ class NamedTools:
         """Press the start button."""
         await self._tools.write_coil(call, WriteCoil(address=_START_BUTTON, value=True))
         return {"done": "the start button was pressed"}
+
+    @tool("modbus.write_holding", writes=True)
+    async def start_batch(self, call: Call, arguments: Batch) -> Done:
+        """Say how much a batch is to be, and start it."""
+        await self._tools.write_register(call, WriteRegister(address=_BATCH_LITRES, value=arguments.litres))
+        await self._tools.write_coil(call, WriteCoil(address=_START_BATCH, value=True))
+        return {"done": f"a batch of {arguments.litres} litres has begun"}
 
 
 def build() -> AdapterServer:

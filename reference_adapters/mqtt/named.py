@@ -35,6 +35,12 @@ class Switch(Arguments):
     state: Literal["on", "off"]
 
 
+class Scene(Arguments):
+    """What all lights are to be."""
+
+    state: Literal["on", "off"]
+
+
 class Sent(TypedDict):
     """A command that the broker has."""
 
@@ -66,6 +72,12 @@ class NamedTools:
     async def ring_bell(self, call: Call, arguments: Nothing) -> Sent:
         """Ring the bell."""
         return await self._publish(call, "home/bell", "RING")
+
+    @tool("mqtt.publish", writes=True, idempotent=False)
+    async def switch_all(self, call: Call, arguments: Scene) -> Sent:
+        """Switch the light in the kitchen, then that in the hall."""
+        await self._light(call, "kitchen", state=arguments.state.upper())
+        return await self._light(call, "hall", state=arguments.state.upper())
 
     async def _light(self, call: Call, light: str, **members: object) -> Sent:
         return await self._publish(call, f"home/{light}/set", json.dumps({**members, "transition": _TRANSITION_S}))

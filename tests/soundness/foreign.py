@@ -27,6 +27,8 @@ SHAPES = {
     "modbus-http": "foreign_modbus",
     "mqtt-connect": "foreign_mqtt",
     "mqtt-handle": "foreign_mqtt",
+    "mqtt-session": "foreign_mqtt",
+    "mqtt-payloads": "foreign_mqtt",
     "mqtt-collect": "foreign_mqtt",
     "mqtt-wait": "foreign_mqtt",
     "opcua-items": "foreign_opcua",

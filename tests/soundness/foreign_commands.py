@@ -19,7 +19,8 @@ from foreign_mqtt import Link
 
 VALVES = {"inlet": 4, "outlet": 5}
 BUTTONS = {"start": 10, "stop": 11}
-PUMP_SPEED = 40
+PUMP_SPEED, LITRES = 40, 41
+START_BATCH = 12
 AGAIN_S = 0.05
 
 Write = Callable[[], Awaitable[Any]]
@@ -108,6 +109,21 @@ def modbus_valves(lie: str | None, read_only: bool) -> Shape:
 
         return await did(f"the pump runs at {percent} %", write)
 
+    async def start_batch(litres: int) -> Result:
+        async def amount() -> None:
+            answer = await transact(*endpoint(), lambda client: client.write_register(LITRES, litres))
+            if (answer.address, answer.registers) != (LITRES, [litres]):
+                raise Failure("offline", "no answer: the device confirmed something else")
+
+        async def write() -> None:
+            steps = [amount, lambda: coil(START_BATCH, True)]
+            for step in reversed(steps) if lie == "starts-first" else steps:
+                await step()
+            if lie == "starts-again":
+                await steps[-1]()
+
+        return await did(f"a batch of {litres} litres", amount if lie == "never-starts" else write)
+
     valve = {"valve": {"type": "string", "enum": list(VALVES)}}
     percent = {"type": "number", "minimum": 0, "maximum": 100, "multipleOf": 0.5}
     return Shape(
@@ -117,6 +133,7 @@ def modbus_valves(lie: str | None, read_only: bool) -> Shape:
             "close_valve": (valve, close_valve),
             "press_button": ({"button": {"type": "string", "enum": list(BUTTONS)}}, press_button),
             "set_pump_speed": ({"percent": percent}, set_pump_speed),
+            "start_batch": ({"litres": {"type": "integer", "minimum": 1, "maximum": 500}}, start_batch),
         },
         strict=True,
     )
@@ -168,6 +185,25 @@ def mqtt_lights(lie: str | None, read_only: bool) -> Shape:
     async def switch_light(light: str, on: bool) -> Result:
         return await lamp(light, state="ON" if on else "OFF")
 
+    async def all_lights(state: str) -> Result:
+        rooms = (
+            ["hall", "kitchen"]
+            if lie == "hall-first"
+            else ["kitchen"]
+            if lie == "kitchen-alone"
+            else ["kitchen", "hall"]
+        )
+
+        def send() -> None:
+            for room in rooms:
+                publish(f"home/{room}/set", json.dumps({"state": state, "transition": 0.5}))
+
+        try:
+            await carried_out(lambda: asyncio.to_thread(send), lie, read_only=read_only)
+        except Failure as failure:
+            return structured({"error": {"kind": failure.kind, "message": str(failure)}}, is_error=True)
+        return structured({"sent": True})
+
     async def ring() -> Result:
         return await did("home/bell", "RING")
 
@@ -180,6 +216,7 @@ def mqtt_lights(lie: str | None, read_only: bool) -> Shape:
                 set_brightness,
             ),
             "switch_light": ({"light": light, "on": "boolean"}, switch_light),
+            "all_lights": ({"state": {"type": "string", "enum": ["ON", "OFF"]}}, all_lights),
             "ring": ({}, ring),
         },
         strict=True,

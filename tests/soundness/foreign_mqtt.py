@@ -1,8 +1,10 @@
-"""Four MQTT adapters of foreign shape, and their lies.
+"""Six MQTT adapters of foreign shape, and their lies.
 
 ``mqtt-connect``: has to be connected by a tool, does not reconnect; structured content with a ``success`` in it, ``isError``
 never set; one inbox for all messages, no QoS.
 ``mqtt-handle``: reconnects when it has to; a subscription has a handle that is polled and emptied; ``isError`` set.
+``mqtt-session``: a tool opens a session, whose number every other tool takes; a subscription has a handle that is read and ended.
+``mqtt-payloads``: a topic is subscribed to, and its payloads are asked for by it; they come without their topics.
 ``mqtt-collect``: subscribes, waits and answers in one call; a text block for each message, and nothing else.
 ``mqtt-wait``: one call subscribes and waits for the next message, another publishes; each over a connection of its own. Prose.
 """
@@ -271,6 +273,128 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
     if not read_only or lie == "guard-by-hiding":
         tools["publish"] = ({"topic": "string", "message": "string", "qos": "integer"}, publish)
     return Shape(tools=tools, unlisted=("publish",) if read_only else ())
+
+
+# -- a session and its handles ----------------------------------------------------------------------------------------
+
+
+def mqtt_session(lie: str | None, read_only: bool) -> Shape:
+    links: list[Link] = []
+    watches: dict[str, str] = {}
+
+    def link(session: int) -> Link:
+        if not 0 < session <= len(links):
+            raise Failure("invalid", f"unknown session {session}")
+        return links[session - 1]
+
+    def watched(watch: str) -> str:
+        if watch not in watches:
+            raise Failure("invalid", f"unknown watch {watch}")
+        if lie == "first-watch":
+            watch = next(iter(watches))
+        return watches[watch]
+
+    def failing(call: Any) -> Any:
+        async def called(**given: Any) -> Result:
+            try:
+                answered = await call(**given)
+            except Failure as failure:
+                return prose(f"{failure.kind}: {failure}", is_error=True)
+            return structured({"data": answered})
+
+        return called
+
+    async def open_session(host: str, port: int) -> Any:
+        if not (links and lie == "same-session"):
+            links.append(Link(host, port))
+            await asyncio.to_thread(links[-1].open)
+        return {"session": {"number": len(links)}}
+
+    async def state(session: int) -> Any:
+        await asyncio.to_thread(link(session).check)
+        return {"connected": True}
+
+    async def watch(session: int, topic: str, qos: int) -> Any:
+        if lie == "refuses-wildcards" and "#" in topic:
+            raise Failure("invalid", "no wildcards")
+        granted = await asyncio.to_thread(link(session).subscribe, topic, qos)
+        if granted >= REFUSED:
+            raise Failure("refused", f"the broker refuses {topic!r}")
+        handle = f"w{len(watches) + 1}"
+        watches[handle] = topic
+        return {"watch": handle, "granted": granted}
+
+    async def read(session: int, watch: str) -> Any:
+        wanted = watched(watch)
+        return {"messages": [one for one in link(session).received if paho.topic_matches_sub(wanted, one["topic"])]}
+
+    async def unwatch(session: int, watch: str) -> Any:
+        ended = list(watches.values())[-1] if lie == "ends-another" else watched(watch)
+        link(session).require()
+        await asyncio.to_thread(link(session).wait, link(session).client.unsubscribe(ended)[1])
+        return {}
+
+    async def send(session: int, topic: str, text: str, qos: int) -> Any:
+        if not topic or NO_NAME.intersection(topic):
+            raise Failure("invalid", "the topic must not be empty, or hold a wildcard or a null character")
+        await asyncio.to_thread(link(session).publish, topic, text, qos)
+        return {}
+
+    session, qos = "integer", {"type": "integer", "minimum": 0, "maximum": 2}
+    tools = {
+        "open_session": ({"host": "string", "port": "integer"}, open_session),
+        "state": ({"session": session}, state),
+        "watch": ({"session": session, "topic": "string", "qos": qos}, watch),
+        "read": ({"session": session, "watch": "string"}, read),
+        "unwatch": ({"session": session, "watch": "string"}, unwatch),
+        "send": ({"session": session, "topic": "string", "text": "string", "qos": qos}, send),
+    }
+    return Shape(tools={name: (schema, failing(call)) for name, (schema, call) in tools.items()}, strict=True)
+
+
+# -- payloads without topics ------------------------------------------------------------------------------------------
+
+
+def mqtt_payloads(lie: str | None, read_only: bool) -> Shape:
+    links: list[Link] = []
+    topics: set[str] = set()
+    opening = asyncio.Lock()
+
+    async def link() -> Link:
+        async with opening:
+            if not (links and links[-1].client.is_connected()):
+                kept = links[-1].received if links else []
+                links.append(Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]), received=kept))
+                await asyncio.to_thread(links[-1].open)
+                for topic in topics:
+                    await asyncio.to_thread(links[-1].subscribe, topic, 0)
+        return links[-1]
+
+    async def state() -> Result:
+        try:
+            await asyncio.to_thread((await link()).check)
+        except Failure as failure:
+            return prose(f"{failure.kind}: {failure}", is_error=True)
+        return json_text({"connected": True})
+
+    async def watch(topic: str) -> Result:
+        try:
+            if await asyncio.to_thread((await link()).subscribe, topic, 0) >= REFUSED:
+                raise Failure("refused", f"the broker refuses {topic!r}")
+        except Failure as failure:
+            return prose(f"{failure.kind}: {failure}", is_error=True)
+        topics.add(topic)
+        return json_text({"watching": topic})
+
+    async def payloads(topic: str) -> Result:
+        if topic not in topics:
+            return prose(f"invalid: {topic!r} is not watched", is_error=True)
+        every = [] if lie == "no-payloads" else links[-1].received
+        return json_text([one["payload"] for one in every if one["topic"] == topic or lie == "of-all-topics"])
+
+    return Shape(
+        tools={"state": ({}, state), "watch": ({"topic": "string"}, watch), "payloads": ({"topic": "string"}, payloads)}
+    )
 
 
 # -- one call for all -------------------------------------------------------------------------------------------------

@@ -25,6 +25,11 @@ LIES = {
     ("modbus-valves", "writes-anyway"): ("WR-004", "WR-004"),
     ("modbus-valves", "sends-again"): ("WR-003", "WR-003 TMO-001"),
     ("modbus-valves", "delivers-later"): ("WR-010", "WR-010"),
+    ("modbus-valves", "starts-first"): ("WR-014", "WR-014"),
+    ("modbus-valves", "never-starts"): ("WR-014", "WR-014"),
+    ("modbus-valves", "starts-again"): ("WR-014", "WR-003 WR-014"),
+    ("mqtt-lights", "hall-first"): ("WR-014", "WR-014"),
+    ("mqtt-lights", "kitchen-alone"): ("WR-014", "WR-014"),
     ("mqtt-lights", "writes-nothing"): ("WR-014", "WR-014"),
     ("mqtt-lights", "another-light"): ("WR-014", "WR-014"),
     ("mqtt-lights", "another-value"): ("WR-014", "WR-014"),
@@ -36,7 +41,7 @@ LIES = {
 }
 """Each lie with the row that is about it, and the requirements that may be cited."""
 
-QUICK = {"another-value", "writes-anyway"}
+QUICK = {"another-value", "writes-anyway", "starts-first", "kitchen-alone"}
 
 
 def on(protocol: str, rows: str) -> set[str]:
@@ -96,6 +101,13 @@ def test_what_a_command_cannot_express_does_not_apply(judge_foreign: Judge) -> N
         ("modbus-valves", ("address = 40", "address = 41")),
         ("mqtt-lights", ('payload = "RING"', 'payload = "RING", qos = 2')),
         ("mqtt-lights", ('payload = "RING"', 'payload = "RING", retain = true')),
+        (
+            "mqtt-lights",
+            (
+                'home/hall/set", payload = { state = "$state" }',
+                'home/hall/set", payload = { state = "$state" }, qos = 2',
+            ),
+        ),
         ("mqtt-lights", ('state = "ON"', 'state = "ON", transition = 1')),
     ],
 )
@@ -104,6 +116,32 @@ def test_what_differs_from_the_subject_file_is_a_finding(
 ) -> None:
     identifier = f"WR-014.{name.partition('-')[0]}"
     assert failing(judge_foreign(name, tasks=identifier, described=described)) == {identifier}
+
+
+RECIPE = """
+[adapter.opcua.commands.apply_recipe]
+tool = "write_items"
+draws = { position = { lowest = 0, highest = 100, step = 0.5 } }
+arguments = { items_to_write = [
+    { node = "ns=2;s=ValvePosition", value = "$position" },
+    { node = "ns=2;s=PumpEnabled", value = true },
+] }
+effect = [
+    { write = { node = "ns=2;s=ValvePosition", value = "$position" } },
+    { write = { node = "ns=2;s=PumpEnabled", value = true } },
+]
+"""
+
+
+def test_several_writes_of_one_call_are_told_apart_on_opcua(judge_foreign: Judge) -> None:
+    before = "[adapter.opcua.bind.read]"
+    honest = judge_foreign("opcua-items", tasks="WR-014.opcua", described=(before, f"{RECIPE}\n{before}"))
+    assert passing(honest) == {"WR-014.opcua"}, words(honest)
+    first, second = RECIPE.partition("effect = [")[2].split("\n")[1:3]
+    swapped = RECIPE.replace(f"{first}\n{second}", f"{second}\n{first}")
+    results = judge_foreign("opcua-items", tasks="WR-014.opcua", described=(before, f"{swapped}\n{before}"))
+    assert failing(results) == {"WR-014.opcua"}
+    assert "each once and in this order, it saw them in another order" in words(results)
 
 
 EVERYWHERE = foreign_subject("named-everywhere").adapters

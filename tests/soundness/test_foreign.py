@@ -24,6 +24,19 @@ HONEST = {
         {"FQ2": "mqtt.subscribe.qos is not claimed: the tool takes no QoS", **NO_SPARKPLUG, **OTHERS_ALONE},
     ),
     "mqtt-handle": ("Q1 Q2 Q3 FQ1 FQ2 S2 S5 S8 S11 R-mqtt", {**NO_SPARKPLUG, **OTHERS_ALONE}),
+    "mqtt-session": (
+        "Q1 Q2 Q3 FQ1 FQ2 S2 S5 S8 S11 R-mqtt",
+        {"Q4": "mqtt.device_birth is not claimed: does not speak Sparkplug B", **OTHERS_ALONE},
+    ),
+    "mqtt-payloads": (
+        "Q1 Q2 S2 S8 S11 R-mqtt",
+        {
+            **dict.fromkeys(("Q3", "S5", "FQ1"), "mqtt.publish is not claimed: only receives"),
+            "Q4": "mqtt.device_birth is not claimed: does not speak Sparkplug B",
+            "FQ2": "mqtt.subscribe.qos is not claimed: the tool takes no QoS",
+            **OTHERS_ALONE,
+        },
+    ),
     "mqtt-collect": (
         "Q2 S2 S11 R-mqtt",
         {
@@ -47,6 +60,8 @@ QUICK = {
     "modbus-http": [],
     "mqtt-connect": "publishes-into-the-void acknowledges-nonsense false-failure".split(),
     "mqtt-handle": "clamps-qos guard-by-hiding empty-poll farewell-for-hello".split(),
+    "mqtt-session": ["first-watch"],
+    "mqtt-payloads": ["of-all-topics"],
     "mqtt-collect": [],
     "opcua-items": "empty-success guard-in-words echoes-write applied-late".split(),
 }
@@ -69,6 +84,27 @@ def test_an_adapter_that_waits_for_one_message_after_the_other_is_honest(judge_f
     # What is bent is no lie: it is told like one.
     results = judge_foreign("mqtt-collect", lie="one-at-a-time", tasks="Q2 S2")
     assert passing(results) == {"Q2", "S2"}, words(results)
+
+
+TOPICS = 'result.messages = "[{topic: topic, payload: payload}]"'
+ALONE = 'topic = "subscribed"\nresult.messages = "[payload]"'
+
+
+def test_an_adapter_that_waits_for_payloads_without_topics_is_judged_by_them(judge_foreign: Judge) -> None:
+    results = judge_foreign("mqtt-wait", tasks="Q2 S2", described=(TOPICS, ALONE))
+    assert passing(results) == {"Q2", "S2"}, words(results)
+
+
+def test_what_is_about_the_topics_that_a_wildcard_selects_does_not_apply_without_topics(judge_foreign: Judge) -> None:
+    results = judge_foreign("mqtt-payloads", tasks="MQT-002.mqtt MQT-004.mqtt INJ-003.mqtt")
+    assert {name: result["status"] for name, result in results.items()} == {
+        "MQT-002.mqtt": "PASS",
+        "MQT-004.mqtt": "NOT_APPLICABLE",
+        "INJ-003.mqtt": "PASS",
+    }, words(results)
+    assert results["MQT-004.mqtt"]["reason"] == (
+        "the messages that the subject returns have no topics: what a wildcard brought cannot be told apart"
+    )
 
 
 READY = 'ready = { tool = "connection_status", text = "^state: connected$" }'
@@ -136,6 +172,10 @@ LIES = {
     ("mqtt-handle", "guard-by-hiding"): ("Q3", "the broker should have seen no PUBLISH from the adapter, it saw 1"),
     ("mqtt-handle", "empty-poll"): ("Q2 S2", "should be there once"),
     ("mqtt-handle", "hangs-on-nonsense"): ("FQ1", "no reply within the deadline"),
+    ("mqtt-session", "first-watch"): ("S2", "should be there once"),
+    ("mqtt-session", "same-session"): ("S11 R-mqtt", "expected success"),
+    ("mqtt-payloads", "no-payloads"): ("Q2 S2", "should be there once"),
+    ("mqtt-payloads", "of-all-topics"): ("S2", "should not be there, it came on another topic than 'stress/"),
     ("mqtt-collect", "collects-nothing"): ("Q2 S2", "the reply says []"),
     ("opcua-items", "empty-success"): ("O2 O4", "nodes are missing or wrong"),
     ("opcua-items", "guard-in-words"): ("O3", "the server should have seen no state-changing request, it saw 1"),

@@ -81,6 +81,49 @@ def test_a_command_does_not_express_what_none_of_its_values_has_as_effect(load: 
     assert not only(load(), "write_holding").fits(inputs)
 
 
+SEVERAL = """
+draws = { litres = { lowest = 1, highest = 9 } }
+arguments = { litres = "$litres" }
+effect = [
+    { write_holding = { address = 40, value = "$litres * 10" } },
+    { write_coil = { address = 1, value = true } },
+]
+"""
+
+
+def test_a_command_of_several_effects_performs_the_first_with_the_others_after_it(load: Load) -> None:
+    binding = only(load(SEVERAL), "write_holding")
+    command = binding.command
+    assert command is not None
+    inputs = command.effect_of({"litres": 5})
+    then = [{"operation": "write_coil", "inputs": {"address": 1, "value": True}}]
+    assert inputs == {"address": 40, "value": 50, "then": then}
+    assert binding.fits(inputs)
+    assert binding.fill(inputs, {}) == {"litres": 5}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"then": []},
+        {"then": [{"operation": "write_coils", "inputs": {"address": 1, "value": True}}]},
+        {"then": [{"operation": "write_coil", "inputs": {"address": 2, "value": True}}]},
+        {"then": [{"operation": "write_coil", "inputs": {"address": 1}}]},
+        {"value": 51},
+    ],
+)
+def test_a_command_of_several_effects_expresses_nothing_else(load: Load, change: dict[str, Any]) -> None:
+    binding = only(load(SEVERAL), "write_holding")
+    assert binding.command is not None
+    assert not binding.fits({**binding.command.effect_of({"litres": 5}), **change})
+    assert not binding.fits({"address": 40, "value": 50})
+
+
+def test_one_effect_in_a_list_is_as_one_without(load: Load) -> None:
+    one = load("effect = [{ write_coil = { address = 1, value = true } }]")
+    assert only(one, "write_coil") == only(load("effect.write_coil = { address = 1, value = true }"), "write_coil")
+
+
 def test_a_value_that_is_no_text_has_its_meaning_by_its_place_in_the_list(load: Load) -> None:
     run = """
 draws = { on = [true, false] }
@@ -151,7 +194,12 @@ def test_a_record_with_a_range_that_there_is_not_is_unreadable(change: dict[str,
 
 
 def test_a_topic_of_a_command_is_a_command_topic() -> None:
-    assert named_subject().adapters["mqtt"].lists["command_topics"] == ("home/+/set", "home/bell")
+    assert named_subject().adapters["mqtt"].lists["command_topics"] == (
+        "home/+/set",
+        "home/bell",
+        "home/kitchen/set",
+        "home/hall/set",
+    )
 
 
 def test_commands_are_tried_before_other_bindings_of_their_operation(load: Load) -> None:
@@ -168,6 +216,14 @@ def test_an_adapter_with_commands_claims_the_writes_that_it_names_and_no_others(
 
 
 WRONG = {
+    "effect = []": "adapter.modbus.commands.run.effect: expected a list of effects, in their order, found a list",
+    "effect = [{ mask_write = { address = 1, and_mask = 1, or_mask = 1 } }]": (
+        "adapter.modbus.commands.run.effect[0].mask_write: unknown key; known are write_coil, write_coils, write_holding, write_registers"
+    ),
+    'draws.speed = [1, 2]\narguments = { a = "$speed" }\n'
+    "effect = [{ write_coil = { address = 1, value = true } }, { write_coil = { address = 2, value = true } }]": (
+        "commands.run.effect: $speed has no part in it, so that nothing says what it does at the device"
+    ),
     "": "adapter.modbus.commands.run.effect: expected a table, found nothing",
     "effect = {}": "adapter.modbus.commands.run.effect: expected one operation that writes, such as write_holding",
     "effect.write_holding = { address = 1 }": "commands.run.effect.write_holding.value: expected a value, found nothing",

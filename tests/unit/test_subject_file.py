@@ -358,6 +358,10 @@ REFUSED = {
         FOREIGN + 'bind = { ping = { resource = "y://z", arguments = { a = 1 } } }\n',
         "adapter.modbus.bind.ping.resource: a resource is read without tool and arguments",
     ),
+    "messages of no topic": (
+        FOREIGN + 'bind = { ping = { tool = "x", topic = "subscribed" } }\n',
+        "adapter.modbus.bind.ping.topic: only messages are of a topic",
+    ),
     "blocking": (
         FOREIGN + 'bind = { ping = { tool = "x", blocking = true } }\n',
         "adapter.modbus.bind.ping.blocking: only a call for messages may wait for them",

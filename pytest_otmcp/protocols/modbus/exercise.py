@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+from ...core.strict_json import same_json
 from ..exercise import Asked, Clamped, DeviceText, Exercise, Limited, every_change
 from ..journal import JournalEntry
 from .entries import as_modbus, points
@@ -160,6 +161,15 @@ def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object
     return points(table, inputs["address"], values, unit=inputs.get("unit", 1))
 
 
+def _is_asked_for(entry: JournalEntry, asked: Asked) -> bool:
+    request = as_modbus(entry)
+    table = {5: "coils", 15: "coils", 6: "holding_registers", 16: "holding_registers"}.get(request.get("function", 0))
+    if table is None:
+        return False
+    written = points(table, request["address"], [*request.get("values", [])], unit=request["unit"])
+    return same_json(written, dict(_points_of(asked.operation, asked.inputs)))
+
+
 def _refusals(entry: JournalEntry) -> list[str]:
     return [str(as_modbus(entry).get("exception"))] if entry["kind"] == "response" else []
 
@@ -187,5 +197,6 @@ EXERCISE = Exercise(
     device_texts=_device_texts,
     clamped=_clamped,
     points_of=_points_of,
+    recognised=dict.fromkeys(("write_holding", "write_registers", "write_coil", "write_coils"), _is_asked_for),
     changing=tuple({"function": function} for function in (5, 6, 15, 16, 22)),
 )

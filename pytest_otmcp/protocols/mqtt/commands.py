@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from ..journal import JournalEntry
 from ..protocol import Declared
 from .entries import as_mqtt
+from .filters import covers
 from .sparkplug_decoder import parse_topic
 
 __all__ = ["COMMAND_TOPICS", "commands", "declares"]
@@ -27,22 +28,9 @@ def commands(entry: JournalEntry, declared: Declared) -> bool:
     sparkplug = parse_topic(topic)
     if sparkplug is not None:
         return sparkplug.type in ("NCMD", "DCMD")
-    return any(_matches(text, topic) for text in (_PLANT, *declared.get(COMMAND_TOPICS, ())))
+    return any(covers(text, topic) for text in (_PLANT, *declared.get(COMMAND_TOPICS, ())))
 
 
 def declares(operation: str, effect: Mapping[str, str]) -> Mapping[str, list[str]]:
     """Return the topics of a named command: the plant listens there for commands."""
     return {COMMAND_TOPICS: [effect["topic"]]} if "topic" in effect else {}
-
-
-def _matches(text: str, topic: str) -> bool:
-    """Tell whether a topic filter selects the topic (MQTT 3.1.1, section 4.7)."""
-    wanted, levels = text.split("/"), topic.split("/")
-    if topic.startswith("$") != text.startswith("$"):
-        return False
-    for index, level in enumerate(wanted):
-        if level == "#":
-            return True
-        if index == len(levels) or level not in ("+", levels[index]):
-            return False
-    return len(wanted) == len(levels)

@@ -12,6 +12,7 @@ from .decoder import MqttConversation, packet_length
 from .entries import delivered_again, describe, messages
 from .exercise import EXERCISE
 from .external import EXTERNAL
+from .filters import covers
 from .operations import OPERATIONS
 from .oracle import Publications, Refused, Subscriptions, no_command
 from .proof import PROOF
@@ -47,6 +48,7 @@ PROTOCOL = OtProtocol(
     ),
     lists={COMMAND_TOPICS: "Topic filters, beside control/#, below which a publication commands the plant."},
     declares=declares,
+    covers=lambda name, kept, asked: name == "filter" and covers(str(kept), str(asked)),
     framing=Framing(frame_length=packet_length, conversation=MqttConversation),
     unsolicited=no_command,
     changes=messages,

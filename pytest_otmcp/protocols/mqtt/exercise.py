@@ -99,13 +99,12 @@ def _metric(name: str, value: str) -> dict[str, object]:
 
 def _device_texts(name: str) -> tuple[DeviceText, ...]:
     below = f"otmcp/{name}"
-    subscribed, exchange = (
-        Asked(operation="subscribe", inputs={"filter": filter_, "qos": 0})
-        for filter_ in (f"{below}/#", f"{below}/none")
+    to_all, to_one, exchange = (
+        Asked(operation="subscribe", inputs={"filter": f"{below}/{end}", "qos": 0}) for end in ("#", "text", "none")
     )
 
-    def received(poke: dict[str, object]) -> Asked:
-        return Asked(operation="messages", inputs={"filter": f"{below}/#"}, pokes=(poke,))
+    def received(end: str, poke: dict[str, object]) -> Asked:
+        return Asked(operation="messages", inputs={"filter": f"{below}/{end}"}, pokes=(poke,))
 
     def listed(poke: dict[str, object]) -> Asked:
         return Asked(operation="sparkplug_nodes", inputs={}, pokes=(poke,))
@@ -114,19 +113,20 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
     return (
         DeviceText(
             place="a payload",
-            ask=lambda text: received(_message(f"{below}/text", text)),
+            ask=lambda text: received("text", _message(f"{below}/text", text)),
             longest=10_000,
-            first=subscribed,
+            first=to_one,
             then=exchange,
         ),
         DeviceText(
             place="a topic",
-            ask=lambda text: received(_message(f"{below}/{text}", "x")),
+            ask=lambda text: received("#", _message(f"{below}/{text}", "x")),
             longest=10_000,
             # MQTT 3.1.1, section 1.5.3: a receiver may close the connection for them.
             controls=False,
-            first=subscribed,
+            first=to_all,
             then=exchange,
+            output="messages.topic",
         ),
         DeviceText(
             place="the name of a metric",
@@ -146,20 +146,26 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
 
 
 def _texts_waited_for(name: str, seconds: int) -> tuple[DeviceText, ...]:
-    def received(text: str, end: str, payload: str) -> Asked:
+    def received(text: str, end: str, payload: str, filtered: str) -> Asked:
         # The broker sends a message whenever its filter is granted, so each text has a filter of its own.
         below = f"otmcp/{name}/{zlib.crc32(text.encode()):08x}{len(end):x}"
         message = {"topic": f"{below}/{end}", "payload": base64.b64encode(payload.encode()).decode()}
         return Asked(
             operation="messages",
-            inputs={"filter": f"{below}/#", "seconds": seconds},
+            inputs={"filter": f"{below}/{filtered}", "seconds": seconds},
             pokes=({"answering": message},),
         )
 
     return (
-        DeviceText(place="a payload", ask=lambda text: received(text, "text", text), longest=10_000),
+        DeviceText(place="a payload", ask=lambda text: received(text, "text", text, "text"), longest=10_000),
         # MQTT 3.1.1, section 1.5.3: a receiver may close the connection for control characters.
-        DeviceText(place="a topic", ask=lambda text: received(text, text, "x"), longest=10_000, controls=False),
+        DeviceText(
+            place="a topic",
+            ask=lambda text: received(text, text, "x", "#"),
+            longest=10_000,
+            controls=False,
+            output="messages.topic",
+        ),
     )
 
 
@@ -193,6 +199,7 @@ EXERCISE = Exercise(
     },
     unauthorised=({"packet": "CONNECT", "action": {"reason_code": _NOT_AUTHORISED}},),
     says=_says,
+    recognised={"publish": lambda entry, asked: bool(_published([entry], asked))},
     outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
     device_texts=_device_texts,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..protocol import Operation
+from .filters import name_in
 
 __all__ = ["OPERATIONS"]
 
@@ -31,6 +32,7 @@ OPERATIONS: Mapping[str, Operation] = {
         waits="seconds",
         requirement="MQT-004",
         voluntary_outputs=("encodings", "qos", "retained", "dropped", "connected"),
+        topic_of=lambda inputs: name_in(inputs.get("filter")),
     ),
     "publish": Operation(
         meaning="publish a text payload",

@@ -8,8 +8,10 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
+from ...core.strict_json import same_json
 from ..exercise import Asked, Contended, DeviceText, Exercise, Limited, every_change
 from ..journal import JournalEntry
+from ..oracle import has
 from .entries import as_opcua
 
 __all__ = ["EXERCISE"]
@@ -169,8 +171,18 @@ def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object
     return {item["node_id"]: item["value"] for item in items}
 
 
+def _is_asked_for(entry: JournalEntry, asked: Asked) -> bool:
+    nodes = as_opcua(entry).get("nodes", []) if entry["kind"] == "Write" else []
+    return (
+        len(nodes) == 1
+        and has(nodes[0], node_id=asked.inputs["node"])
+        and same_json(nodes[0].get("value"), asked.inputs["value"])
+    )
+
+
 EXERCISE = Exercise(
     points_of=_points_of,
+    recognised={"write": _is_asked_for},
     changing=tuple({"service": service} for service in ("Write", "Call")),
     reading="read",
     read=_read,

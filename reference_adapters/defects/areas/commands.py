@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from ...core import AdapterServer, Call
+from ...modbus.shapes import WriteCoil, WriteRegister
 from ..any_protocol import guard_after_sending
-from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of
+from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of, wrap
 from .err import retries_when_back
 from .wr import sent_again
 
@@ -15,6 +16,7 @@ __all__ = ["MUTANTS"]
 
 _SPEED, _VALVE, _START = "set_pump_speed", "move_valve", "press_start"
 _DIM, _SWITCH, _BELL = "set_brightness", "switch_light", "ring_bell"
+_BATCH, _ALL = "start_batch", "switch_all"
 
 
 def nothing_sent(*names: str, answer: Callable[[Any], Data]) -> Bend:
@@ -55,6 +57,41 @@ def carried_out_twice(*names: str) -> Bend:
         return handler
 
     return each(*names, change=twice)
+
+
+def batch_by(*requests: str) -> Bend:
+    """Return the defect that a batch consists of these requests, ``litres`` and ``start``."""
+
+    def bend(server: AdapterServer) -> None:
+        tools = server._tools[_BATCH].handler.__self__._tools
+
+        def instead(genuine: Handler) -> Handler:
+            async def handler(call: Call, arguments: Any) -> Data:
+                for request in requests:
+                    if request == "litres":
+                        await tools.write_register(call, WriteRegister(address=41, value=arguments.litres))
+                    else:
+                        await tools.write_coil(call, WriteCoil(address=12, value=True))
+                return {"done": "a batch has begun"}
+
+            return handler
+
+        wrap(server, _BATCH, instead)
+
+    return bend
+
+
+def kitchen_alone(server: AdapterServer) -> None:
+    tools = server._tools[_ALL].handler.__self__
+
+    def instead(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            sent: Data = await tools._light(call, "kitchen", state=arguments.state.upper())
+            return sent
+
+        return handler
+
+    wrap(server, _ALL, instead)
 
 
 def denied_after_sending(*names: str) -> Bend:
@@ -127,6 +164,46 @@ MUTANTS: tuple[Mutant, ...] = (
         nothing_sent(_SWITCH, answer=lambda arguments: {"delivery": "acknowledged"}),
         "WR-004.mqtt WR-010.mqtt WR-014.mqtt",
         "MQT-001 WR-001 WR-014",
+    ),
+    _mutant(
+        "MU-02ns",
+        "modbus",
+        "A batch is started before it is said how much it is to be.",
+        batch_by("start", "litres"),
+        "WR-004.modbus WR-014.modbus",
+        "WR-001 WR-014",
+    ),
+    _mutant(
+        "MU-14ns",
+        "modbus",
+        "It is said how much a batch is to be, and the batch is not started.",
+        batch_by("litres"),
+        "WR-004.modbus WR-014.modbus",
+        "WR-001 WR-014",
+    ),
+    _mutant(
+        "MU-14nsq",
+        "mqtt",
+        "Of all lights that are switched the first one is.",
+        kitchen_alone,
+        "WR-004.mqtt WR-014.mqtt",
+        "WR-001 WR-014",
+    ),
+    _mutant(
+        "MU-25ns",
+        "modbus",
+        "A batch is started twice by each call.",
+        batch_by("litres", "start", "start"),
+        "WR-004.modbus WR-014.modbus",
+        "WR-003 WR-014",
+    ),
+    _mutant(
+        "MU-20ns",
+        "modbus",
+        "With writes disabled it is said how much a batch is to be, and then it is denied.",
+        denied_after_sending(_BATCH),
+        "WR-004.modbus",
+        "WR-004",
     ),
     _mutant(
         "MU-20n",

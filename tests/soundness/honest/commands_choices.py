@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, cast
 
 from pytest_otmcp.reference_adapters.core import AdapterServer
 from pytest_otmcp.reference_adapters.modbus import named as modbus_named
-from pytest_otmcp.reference_adapters.modbus.shapes import WriteCoils, WriteRegisters
+from pytest_otmcp.reference_adapters.modbus.shapes import Cell, WriteCoils, WriteRegisters
 from pytest_otmcp.reference_adapters.mqtt import named as mqtt_named
 from pytest_otmcp.reference_adapters.mqtt.shapes import Publish
 
@@ -43,8 +43,13 @@ def _without_qos(adapter: Adapter) -> Adapter:
 def _any_qos(binding: Binding) -> Binding:
     if binding.command is None:
         return binding
-    effect = {name: value for name, value in binding.command.effect.items() if name != "qos"}
-    return dataclasses.replace(binding, command=dataclasses.replace(binding.command, effect=effect))
+    then = tuple(dataclasses.replace(one, effect=_no_qos(one.effect)) for one in binding.command.then)
+    command = dataclasses.replace(binding.command, effect=_no_qos(binding.command.effect), then=then)
+    return dataclasses.replace(binding, command=command)
+
+
+def _no_qos(effect: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in effect.items() if name != "qos"}
 
 
 def tools_of(server: AdapterServer, status: str) -> Any:
@@ -86,6 +91,25 @@ def writes_blocks_of_one(server: AdapterServer) -> None:
             await genuine.write_coils_bulk(call, WriteCoils(address=arguments.address, values=[arguments.value]))
 
     server.add(modbus_named.NamedTools(cast(Any, Blocks())))
+
+
+@modbus(
+    "reads a set point back before it presses what it is for",
+    "a command of several requests may read between them",
+    described=_named,
+)
+def reads_between_its_writes(server: AdapterServer) -> None:
+    genuine = tools_of(server, "ping")
+
+    class Careful:
+        ping = staticmethod(genuine.ping)
+        write_coil = staticmethod(genuine.write_coil)
+
+        async def write_register(self, call: Any, arguments: Any) -> None:
+            await genuine.write_register(call, arguments)
+            await genuine.read_register(call, Cell(address=arguments.address))
+
+    server.add(modbus_named.NamedTools(cast(Any, Careful())))
 
 
 @mqtt(
