@@ -13,7 +13,7 @@ from .evidence import tells_failure
 from .experimenter import Experimenter, NotProvenError
 from .guess import Guess
 from .input_schema import kinds, properties, required, resolved
-from .matching import commanding_tools
+from .matching import commanding_tools, snake
 from .pack import Pack
 
 __all__ = ["look_for_commands"]
@@ -35,19 +35,21 @@ async def look_for_commands(
     pack: Pack,
     tools: Mapping[str, Mapping[str, Any]],
     taken: Set[str],
+    names: Mapping[str, str],
     say: Callable[[str], None],
 ) -> dict[str, Effect]:
     """Call each tool whose name says that it changes something, and that no operation needs, with several values.
 
     Args:
         taken: names of tools that are not called.
+        names: arguments, in snake case, that name a device which was registered, each with the name.
     """
     found: dict[str, Effect] = {}
     if pack.told is None:
         return found
     for name in commanding_tools(pack, tools, taken)[:_TOOLS]:
         try:
-            effect = await _effect(experimenter, pack, name, tools[name])
+            effect = await _effect(experimenter, pack, name, tools[name], names)
         except NotProvenError as problem:
             say(f"  {name:<15} (not tried as a command, nothing was written: {problem})")
             return found
@@ -66,7 +68,9 @@ def _alike(one: Effect, other: Effect) -> bool:
     )
 
 
-async def _effect(experimenter: Experimenter, pack: Pack, name: str, tool: Mapping[str, Any]) -> Effect | None:
+async def _effect(
+    experimenter: Experimenter, pack: Pack, name: str, tool: Mapping[str, Any], names: Mapping[str, str]
+) -> Effect | None:
     """Return what a tool does with its required arguments, or with one more; None where the device was not told one thing."""
     schema = resolved(tool, None)
     arguments = properties(schema)
@@ -74,7 +78,10 @@ async def _effect(experimenter: Experimenter, pack: Pack, name: str, tool: Mappi
     if len(numbers) == 1 and not arguments[numbers[0]].get("description"):
         # What the tool says of a range is about its only number.
         arguments = {**arguments, numbers[0]: {**arguments[numbers[0]], "description": tool.get("description")}}
-    known = {argument: _values(argument, one) for argument, one in arguments.items()}
+    known = {
+        argument: [names[snake(argument)]] if snake(argument) in names else _values(argument, one)
+        for argument, one in arguments.items()
+    }
     needed = required(schema)
     if any(not known.get(argument) for argument in needed):
         return None

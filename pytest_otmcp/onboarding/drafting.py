@@ -115,7 +115,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
                 proposal.guess.tool for proposal in proposals.values() if proposal.proven or not proposal.tried
             }
             taken = performed | ({step.tool} if step is not None else set())
-            commands = await look_for_commands(experimenter, pack, tools, taken, say)
+            commands = await look_for_commands(experimenter, pack, tools, taken, registered(step), say)
             await look_without_device(experimenter, proposals)
             for operation, known in protocols()[pack.protocol].operations.items():
                 if known.status:

@@ -13,7 +13,7 @@ from .guess import Guess
 from .input_schema import choice, kinds, properties, required, resolved
 from .pack import Hints, Pack
 
-__all__ = ["commanding_tools", "guess_steps", "guess_tools", "registered", "status_tools"]
+__all__ = ["commanding_tools", "guess_steps", "guess_tools", "registered", "snake", "status_tools"]
 
 _ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value"}
 """Inputs that operations of any protocol have, to the names that tools have for them; packs add their own inputs."""
@@ -84,14 +84,16 @@ def guess_steps(pack: Pack, tools: Mapping[str, Mapping[str, object]]) -> list[G
         guess
         for guess in found
         if guess.score > _REGISTERING
-        or any(not keys.isdisjoint(registered(guess)) for name, keys in wanted.items() if name != guess.tool)
+        or any(
+            not {*map(snake, keys)}.isdisjoint(registered(guess)) for name, keys in wanted.items() if name != guess.tool
+        )
     ]
     return sorted(used, key=lambda guess: -guess.score)
 
 
 def registered(step: Guess | None) -> dict[str, str]:
-    """Return the arguments of other tools that may name what a step has registered, each with that name."""
-    given = {} if step is None else {key: value for key, value in step.arguments.items() if value == _REGISTERED}
+    """Return the arguments of other tools, in snake case, that may name what a step has registered, each with that name."""
+    given = [] if step is None else [snake(key) for key, value in step.arguments.items() if value == _REGISTERED]
     # What is called a name where it is registered is called an id, or the device, where it is used.
     return dict.fromkeys((*given, *(_NAMES if given else ())), _REGISTERED)
 
@@ -123,11 +125,11 @@ def _step(pack: Pack, name: str, tool: Mapping[str, Any]) -> Guess | None:
         return None
     schema = resolved(tool, None)
     known, needed = properties(schema), required(schema)
-    ported = any(re.search(r"(^|_)port$", key, re.IGNORECASE) for key in known)
+    ported = any(re.search(r"(^|_)port$", snake(key)) for key in known)
     arguments: dict[str, object] = {}
     trials: dict[str, tuple[str, ...]] = {}
     for key, described in known.items():
-        places = next((values for pattern, values in _PLACES if re.match(pattern, key, re.IGNORECASE)), ())
+        places = next((values for pattern, values in _PLACES if re.match(pattern, snake(key))), ())
         protocol, constant = _named_protocol(pack, described), _constant(pack, key)
         if places and (len(places) == 1 or ported):
             arguments[key] = "{port}" if places[0] == "{port:int}" and kinds(described) == {"string"} else places[0]
@@ -135,7 +137,7 @@ def _step(pack: Pack, name: str, tool: Mapping[str, Any]) -> Guess | None:
             trials[key] = places[1:] + places[:1]
         elif protocol is not None or constant is not None:
             arguments[key] = constant if protocol is None else protocol
-        elif key in needed and key.lower() in _NAMES:
+        elif key in needed and snake(key) in _NAMES:
             arguments[key] = _REGISTERED
     if not trials and not any(map(mentions_address, arguments.values())):
         return None
@@ -182,7 +184,7 @@ def commanding_tools(pack: Pack, tools: Mapping[str, Mapping[str, Any]], taken: 
         and not _words(name) & _OWN_AFFAIRS
         and _may_change(name, tool, frozenset())
         and not _is_foreign(pack.protocol, name, tool)
-        and not {key.lower() for key in properties(resolved(tool, None))} & inputs
+        and not {snake(key) for key in properties(resolved(tool, None))} & inputs
     ]
 
 
@@ -204,9 +206,13 @@ def _named_protocol(pack: Pack, described: Mapping[str, Any]) -> str | None:
     )
 
 
+def snake(name: str) -> str:
+    """Return a name in snake case: ``brokerUrl`` is ``broker_url``."""
+    return re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()
+
+
 def _in_order(name: str) -> list[str]:
-    parts = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()
-    return re.split(r"[^a-z0-9]+", parts)
+    return re.split(r"[^a-z0-9]+", snake(name))
 
 
 def _words(name: str) -> set[str]:
@@ -262,7 +268,9 @@ def _guess(
     arguments, optional, convert = _arguments(pack, hints, inputs, schema)
     placed = placeholders(arguments)
     needed = required(schema)
-    arguments |= {key: registered_as[key] for key in needed if key in registered_as and key not in arguments}
+    arguments |= {
+        key: registered_as[snake(key)] for key in needed if snake(key) in registered_as and key not in arguments
+    }
     trials = {
         argument: values
         for argument in required(schema)
@@ -298,7 +306,9 @@ def _guess(
 
 def _trials(pack: Pack, hints: Hints, argument: str) -> tuple[str, ...]:
     known = ((_PROTOCOL, pack.names), (_CONNECTION, _CONNECTIONS), *hints.trials.items())
-    return next((values for pattern, values in known if values and re.match(pattern, argument, re.IGNORECASE)), ())
+    return next(
+        (values for pattern, values in known if values and re.match(pattern, snake(argument), re.IGNORECASE)), ()
+    )
 
 
 Inputs = Mapping[str, tuple[str, ...]]
@@ -335,7 +345,7 @@ def _arguments(
 def _named(names: tuple[str, ...], known: Mapping[str, object], taken: Mapping[str, object]) -> str | None:
     """Find the property for these names; earlier names take precedence."""
     free = [key for key in known if key not in taken]
-    return next((key for name in names for key in free if key.lower() == name), None)
+    return next((key for name in names for key in free if name in (key.lower(), snake(key))), None)
 
 
 def _batch(pack: Pack, inputs: Inputs, known: Mapping[str, Any], convert: dict[str, str]) -> dict[str, Any]:
@@ -373,6 +383,6 @@ def _constant(pack: Pack, key: str) -> object:
 
 def _endpoint(key: str, schema: Mapping[str, object]) -> str | None:
     for pattern, placeholder in _ENDPOINT:
-        if re.match(pattern, key, re.IGNORECASE):
+        if re.match(pattern, snake(key), re.IGNORECASE):
             return "{port}" if placeholder == "{port:int}" and kinds(schema) == {"string"} else placeholder
     return None
