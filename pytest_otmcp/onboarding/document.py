@@ -156,7 +156,7 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         lines += _answer_rules(draft, form)
     lines += _unclaimed(draft)
     # The file cannot be read without this table, even an empty one.
-    lines += ["", f"[adapter.{draft.protocol}.bind]"]
+    lines += ["", f"# Its tools: {', '.join(draft.tools)}.", f"[adapter.{draft.protocol}.bind]"]
     for operation in protocols()[draft.protocol].operations:
         if operation in draft.proposals or not protocols()[draft.protocol].operations[operation].voluntary:
             lines += ["", *_binding(draft, operation, form)]
@@ -285,7 +285,7 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
             f"{operation} ({asked.meaning}): no tool was found, so it is declared as unclaimed; bind one if there is one"
         )
         return [
-            f"# {operation}: {asked.meaning}. No tool was found among {', '.join(draft.tools)}.",
+            f"# {operation}: {asked.meaning}. No tool was found.",
             f"# {head}",
         ]
     guess = proposal.guess

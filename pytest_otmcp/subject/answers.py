@@ -252,20 +252,32 @@ def _output(rule: OutputRule, document: object) -> Any:
     return value if rule.then is None else _search(rule.then, value)
 
 
+_EXACT = 2**53
 _PYTHON_LITERAL = re.compile(r"[\[{'\"]|(True|False|None)$")
 """Beginnings of what Python alone writes in another way than JSON does; ``0x10``, ``1_000`` and ``1, 2`` are texts to everybody else."""
+
+
+def _exact(value: Any) -> Any:
+    """Return a value of a text with the integers as decimal strings that not every reader of JSON reads alike (RFC 8259, section 6): a text
+    has all their digits."""
+    if isinstance(value, list):
+        return [_exact(member) for member in value]
+    if isinstance(value, dict):
+        return {name: _exact(member) for name, member in value.items()}
+    large = isinstance(value, int) and not isinstance(value, bool) and abs(value) >= _EXACT
+    return str(value) if large else value
 
 
 def _literal(text: str) -> Any:
     """Return the value that a text is a literal of, in JSON or in Python; what is none is the text itself."""
     bare = text.strip()
     try:
-        return _from_json(bare)
+        return _exact(_from_json(bare))
     except ValueError:
         pass
     if _PYTHON_LITERAL.match(bare):
         try:
-            return _plain(ast.literal_eval(bare))
+            return _exact(_plain(ast.literal_eval(bare)))
         except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
             pass
     return text

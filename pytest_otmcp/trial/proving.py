@@ -124,7 +124,7 @@ async def prove(
     if not failed and proof.arrival is not None and await at.arrived():
         return ARRIVAL, ""
     if not failed and not unlisted:
-        raise NoBindingError(_unprovable(at))
+        raise NoBindingError(_unprovable(at, arrived=preferred == ARRIVAL))
     return None, _explained(at, failed, known=preferred is not None)
 
 
@@ -212,14 +212,13 @@ def _explained(at: Provable, failed: Sequence[_Attempt], *, known: bool) -> str:
     return f"{problem}; nothing was written. {_AFTER_AN_OUTAGE if known else _advice(at)}"
 
 
-def _unprovable(at: Provable) -> str:
+def _unprovable(at: Provable, *, arrived: bool) -> str:
     proof = protocols()[at.protocol].proof
     ways = " or ".join(dict.fromkeys(way.operation for way in proof.ways))
-    arrival = (
-        ""
-        if proof.arrival is None
-        else "; a connection that the adapter makes when it starts is enough, and it made none"
-    )
+    arrival = ""
+    if proof.arrival is not None:
+        arrival = "; a connection that the adapter makes when it starts is enough, and "
+        arrival += "that counted until a write that it reported did not reach the mock" if arrived else "it made none"
     return (
         f"{at.protocol}: nothing is written before a read has shown that the adapter talks to the mock device at {at.device_url}, and the "
         f"subject file binds none: bind {ways}{arrival}"

@@ -1,4 +1,4 @@
-"""Installation of the adapters of ``docs/examples``, each with the versions that its requirements files name.
+"""Installation of the adapters of ``docs/examples``, each with the versions that its requirements files, or its package.json, name.
 
 An environment is made once: later runs of the same Python find it by the digest of the requirements.
 """
@@ -9,20 +9,21 @@ import fcntl
 import hashlib
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["EXAMPLES", "NAMES", "NotInstalled", "install", "requirement_files"]
+__all__ = ["EXAMPLES", "NAMES", "NotInstalled", "install", "requirement_files", "sources"]
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 NAMES = sorted(path.parent.name for path in EXAMPLES.glob("*/otmcp.toml"))
 
 _INSTALL_TIMEOUT_S = 600.0
-_SOURCE = {"industriconnect": "INDUSTRICONNECT"}
-"""Adapters that are on no index: the environment variable that names the directory of a copy of their source."""
+_SOURCE = re.compile(r"\{env:(\w+)\}")
+"""What a subject file calls the directory of a copy of the source of an adapter that is on no index."""
 
 
 class NotInstalled(Exception):
@@ -34,17 +35,27 @@ def requirement_files(name: str) -> list[Path]:
     return sorted((EXAMPLES / name).glob("requirements*.txt"))
 
 
+def sources(name: str) -> list[str]:
+    """Return the environment variables that have to name directories with the source of an adapter."""
+    return sorted({*_SOURCE.findall((EXAMPLES / name / "otmcp.toml").read_text(encoding="utf-8"))})
+
+
+def _packages(name: str) -> list[Path]:
+    return list((EXAMPLES / name).glob("package.json"))
+
+
 def install(name: str, cache: Path) -> Path:
     """Install an example's adapter; return its subject file, in a directory of its own below ``cache``.
 
     Raises:
         NotInstalled: its packages, its Python or its source cannot be had.
     """
-    if (variable := _SOURCE.get(name)) and not os.environ.get(variable):
-        raise NotInstalled(f"{name}: {variable} does not say where its source is")
+    for variable in sources(name):
+        if not os.environ.get(variable):
+            raise NotInstalled(f"{name}: {variable} does not say where its source is")
     version = _python_version(name)
     key = hashlib.sha256(version.encode())
-    for file in requirement_files(name):
+    for file in (*requirement_files(name), *_packages(name)):
         key.update(file.name.encode() + b"\n" + file.read_bytes())
     home = cache / f"{name}-{key.hexdigest()[:12]}"
     home.mkdir(parents=True, exist_ok=True)
@@ -55,6 +66,9 @@ def install(name: str, cache: Path) -> Path:
                 raise NotInstalled(f"{name} is not installed, and OTMCP_NO_NETWORK forbids to install it")
             for file in requirement_files(name):
                 _install(name, _python(version), home / file.stem.replace("requirements", ".venv"), file)
+            for file in _packages(name):
+                shutil.copy(file, home)
+                _run(name, ["npm", "install", "--silent", "--ignore-scripts", "--no-package-lock"], home)
             (home / "complete").touch()
     for own in (EXAMPLES / name).iterdir():
         if own.is_file():
@@ -105,12 +119,18 @@ def _install(name: str, python: str, environment: Path, requirements: Path) -> N
             [sys.executable, "-m", "pip", "--python", inside, "install", "--quiet", "-r", str(requirements)],
         ]
     for step in steps:
-        try:
-            done = subprocess.run(
-                step, cwd=environment.parent, capture_output=True, text=True, timeout=_INSTALL_TIMEOUT_S, check=False
-            )
-        except subprocess.TimeoutExpired:
-            raise NotInstalled(f"{name} could not be installed within {_INSTALL_TIMEOUT_S:g} s") from None
-        if done.returncode:
-            reason = (done.stderr.strip() or done.stdout.strip() or "no reason given").splitlines()[-1]
-            raise NotInstalled(f"{name} cannot be installed here: {reason}")
+        _run(name, step, environment.parent)
+
+
+def _run(name: str, step: list[str], directory: Path) -> None:
+    try:
+        done = subprocess.run(
+            step, cwd=directory, capture_output=True, text=True, timeout=_INSTALL_TIMEOUT_S, check=False
+        )
+    except FileNotFoundError:
+        raise NotInstalled(f"{name} cannot be installed here: there is no {step[0]}") from None
+    except subprocess.TimeoutExpired:
+        raise NotInstalled(f"{name} could not be installed within {_INSTALL_TIMEOUT_S:g} s") from None
+    if done.returncode:
+        reason = (done.stderr.strip() or done.stdout.strip() or "no reason given").splitlines()[-1]
+        raise NotInstalled(f"{name} cannot be installed here: {reason}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -22,21 +23,24 @@ from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
 
 from .conftest import Install
-from .examples import EXAMPLES, NAMES, requirement_files
+from .examples import EXAMPLES, NAMES, requirement_files, sources
 from .records import recorded, stored
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_example_loads(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("INDUSTRICONNECT", "anywhere")
+    for variable in sources(name):
+        monkeypatch.setenv(variable, "anywhere")
     subject = load_subject(EXAMPLES / name / "otmcp.toml")
     assert subject.adapters
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_example_says_exactly_what_to_install(name: str) -> None:
-    files = requirement_files(name)
-    assert files
+    files, package = requirement_files(name), EXAMPLES / name / "package.json"
+    if package.exists():
+        assert all(map(re.compile(r"[\d.]+").fullmatch, json.loads(package.read_text())["dependencies"].values()))
+    assert files or package.exists() or sources(name)
     for line in [line for file in files for line in file.read_text(encoding="utf-8").splitlines()]:
         assert re.fullmatch(r"[\w.-]+(\[\w+\])?==[\w.]+", line), line
 

@@ -9,7 +9,7 @@ from pytest_otmcp.record.schema import Run
 from pytest_otmcp.report.causes import causes
 from pytest_otmcp.subject import load_subject
 
-from .examples import EXAMPLES, NAMES
+from .examples import EXAMPLES, NAMES, sources
 from .field_report import DOCUMENT, page
 from .page import side_by_side
 from .records import REPS, recorded, stored
@@ -24,7 +24,8 @@ def test_every_example_has_a_record() -> None:
 def test_a_record_is_of_the_whole_suite_and_of_the_subject_file_as_it_is(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("INDUSTRICONNECT", "anywhere")
+    for variable in sources(name):
+        monkeypatch.setenv(variable, "anywhere")
     run = stored(name)
     assert run["subject"]["digest"] == load_subject(EXAMPLES / name / "otmcp.toml").digest
     assert run["settings"]["reps"] == REPS
