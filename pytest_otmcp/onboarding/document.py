@@ -29,6 +29,7 @@ _LONG_START_S = 6.0
 """A start that took longer may take longer than the default of 30 where several start at once."""
 
 _WAITS = "receives by a call that waits"
+_FROM_MEMORY = "otmcp init saw no status that the device has a part in"
 _NO_TOOL, _NO_SWITCH = "otmcp init found no tool for it", "otmcp init does not know how writes are disabled"
 """Reasons for what is unclaimed; those of what was not found say who has looked."""
 
@@ -206,7 +207,18 @@ def _unclaimed(draft: Draft) -> list[str]:
             continue
         if operation not in draft.proposals and not asked.voluntary and operation not in draft.spared:
             lines += [f"# No tool is called like one for it: {asked.meaning}.", f"{operation} = {_value(_NO_TOOL)}"]
+        elif (said := _said_without_device(draft, operation)) is not None:
+            lines += [f"# {asked.meaning}: {said}.", f"{operation} = {_value(_FROM_MEMORY)}"]
     return ["", f"[adapter.{draft.protocol}.unclaimed]", *lines]
+
+
+def _said_without_device(draft: Draft, operation: str) -> str | None:
+    """Return what is known of a status of which the device saw nothing, or that says nothing of the device; None for any other tool."""
+    proposal = draft.proposals.get(operation)
+    if proposal is None or proposal.proven or not proposal.tried or proposal.guess.missing:
+        return None
+    tool = proposal.guess.tool
+    return f"{tool}: {proposal.evidence[0]}" if protocols()[draft.protocol].operations[operation].status else None
 
 
 def _form(proposals: Iterable[Proposal]) -> str:
@@ -316,6 +328,8 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     if asked.voluntary:
         comments.append("# Who binds it claims it. Take the comment signs away when it is right.")
         body += [f'# result = {{ {name} = "JMESPath" }}' for name in lacking[:1]]
+    elif _said_without_device(draft, operation) is not None:
+        comments.append("# It is unclaimed above; take the comment signs away when it is right.")
     elif proposal.proven:
         draft.left.append(f"{operation}: where {' and '.join(lacking)} is in the answer of {guess.tool!r}")
         body.append(f'# result = {{ {lacking[0]} = "JMESPath" }}')
