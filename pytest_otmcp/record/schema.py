@@ -286,6 +286,7 @@ class AdapterFacts(TypedDict):
     offered: NotRequired[list[str]]
     bounds: NotRequired[BoundsTold]
     times: NotRequired[TimesTold]
+    opened_by: NotRequired[str]
     ready: NotRequired[ReadyTold]
     commands: NotRequired[dict[str, str]]
     probes: dict[str, Any]

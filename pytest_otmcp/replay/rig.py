@@ -240,7 +240,8 @@ class ReplayRig(Rig):
 
     @property
     def reconnects(self) -> bool:
-        return self._state.adapter.facts["recovery"] != "connect_step"
+        facts = self._state.adapter.facts
+        return facts["recovery"] != "connect_step" and "opened_by" not in facts
 
     @property
     def lacks(self) -> Collection[str]:

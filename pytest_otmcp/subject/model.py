@@ -593,6 +593,8 @@ class Adapter:
             facts["bounds"] = cast(BoundsTold, self.bounds.as_record())
         if self.times is not None:
             facts["times"] = cast(TimesTold, self.times.as_record())
+        if self.connect is not None and self.connect.keep:
+            facts["opened_by"] = self.connect.tool
         if self.ready is not None:
             facts["ready"] = {"tool": self.ready.tool, "within_s": self.start_timeout_s}
         return facts

@@ -164,6 +164,7 @@ class AdapterUnderTest:
         used: operations that were performed.
         legacy: the adapter ended at the first request of today's handshake, and was started with the one of 2025-11-25.
         unmet: requirements of the envelope that the adapter's own answers do not meet, where it does not claim to have one.
+        unconnected: the connect step failed; where the device was away, it is made again once it is back.
     """
 
     def __init__(
@@ -186,6 +187,7 @@ class AdapterUnderTest:
         self._options = options
         self._allowance = allowance or Allowance()
         self._start_failure: SubjectError | None = None
+        self.unconnected = False
         self._work: tempfile.TemporaryDirectory[str] | None = None
         self._token: str | None = None
         self._server: ServerFacts = {}
@@ -435,12 +437,17 @@ class AdapterUnderTest:
 
     async def _connect(self) -> None:
         failure = await self.connect()
-        if failure is not None:
+        if failure is not None and self.device.running:
             tool = self.adapter.connect.tool if self.adapter.connect is not None else ""
             raise SubjectError("connect_step", f"the connect step {tool!r} failed: {failure[:2000]}")
 
     async def connect(self) -> str | None:
         """Perform the subject's connect step, if it has one; returns the words of its failure, or None."""
+        failure = await self._step()
+        self.unconnected = failure is not None
+        return failure
+
+    async def _step(self) -> str | None:
         step = self.adapter.connect
         if step is None:
             return None

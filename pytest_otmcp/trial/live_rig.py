@@ -147,7 +147,8 @@ class LiveRig(Rig):
 
     @property
     def reconnects(self) -> bool:
-        return self.under_test.adapter.recovery != "connect_step"
+        adapter = self.under_test.adapter
+        return adapter.recovery != "connect_step" and not (adapter.connect is not None and adapter.connect.keep)
 
     @property
     def lacks(self) -> Collection[str]:
@@ -317,7 +318,7 @@ class LiveRig(Rig):
         connected = {"origin": ADAPTER, "kind": "CONNECTED"}
         seen = len(await self.device.wait(since, connected, timeout_s=0.0))
         await self.device.wait(since, connected, timeout_s=0.05, count=seen + 1)
-        if self.under_test.adapter.recovery == "connect_step":
+        if self.under_test.adapter.recovery == "connect_step" or self.under_test.unconnected:
             # The connect step may fail as long as the device is not ready; then the call after it fails as well, and says so.
             with self._bench.spent.on("tool calls"):
                 await self.under_test.connect()

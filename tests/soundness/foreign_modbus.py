@@ -73,9 +73,22 @@ CONNECTS_FOR_S = {"in-the-background": 0.5, "never-ready": math.inf}
 def modbus_prose(lie: str | None, read_only: bool) -> Shape:
     connected_at = time.monotonic() + CONNECTS_FOR_S.get(lie or "", 0.0)
 
+    connected = lie != "connects-by-a-step"
+
     def must_be_connected() -> None:
         if time.monotonic() < connected_at:
             raise Failure("offline", "not connected: still connecting")
+        if not connected:
+            raise Failure("offline", "could not connect: nobody has called 'connect'")
+
+    async def connect() -> Result:
+        nonlocal connected
+        try:
+            await read(*endpoint(), "holding", 0, 1)
+        except Failure as failure:
+            return prose(f"Error: {failure}")
+        connected = True
+        return prose("connected")
 
     async def status() -> Result:
         try:
@@ -138,6 +151,8 @@ def modbus_prose(lie: str | None, read_only: bool) -> Shape:
         "read_one": ({"address": "integer"}, read_one),
         "read_many": ({"first": "integer", "quantity": "integer"}, read_many),
     }
+    if lie == "connects-by-a-step":
+        tools["connect"] = ({}, connect)
     if lie in CONNECTS_FOR_S:
         tools["connection_status"] = ({}, status)
     if not read_only or lie in ("guard-in-words", "guard-by-hiding"):

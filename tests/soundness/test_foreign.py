@@ -119,6 +119,12 @@ def test_an_adapter_that_connects_in_the_background_is_waited_for(judge_foreign:
     assert passing(results) == set(tasks.split())
 
 
+def test_a_connect_step_need_not_succeed_while_the_device_is_away(judge_foreign: Judge) -> None:
+    described = ('answer = "text"', 'connect = { tool = "connect" }\nanswer = "text"')
+    results = judge_foreign("modbus-prose", lie="connects-by-a-step", described=described, tasks="M2 MCP-002.modbus")
+    assert passing(results) == results.keys(), words(results)
+
+
 def test_an_adapter_that_is_never_ready_is_told_so(judge_foreign: Judge) -> None:
     claims = "unclaimed = { ping"
     described = claims, f"{READY}\n{STARTS}\n{claims}"
