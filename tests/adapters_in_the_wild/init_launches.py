@@ -19,6 +19,7 @@ class Launch:
         command: how it is started, from the directory in which its environment lies.
         proven: operations that are bound, each to the tool; a binding that is proven is right.
         unfilled: operations whose tool is proven, and whose result is left to fill in.
+        commands: tools that are bound by a named command, with the effect that the device saw.
         left: the number of entries that are left to fill in.
         env, files: what its documentation asks for.
     """
@@ -29,6 +30,7 @@ class Launch:
     proven: Mapping[str, str]
     left: int
     unfilled: Mapping[str, str] = field(default_factory=dict)
+    commands: tuple[str, ...] = ()
     env: Mapping[str, str] = field(default_factory=dict)
     files: tuple[str, ...] = ()
     url: str | None = None
@@ -107,7 +109,7 @@ LAUNCHES = (
         env={"HOME": "{work}"},
         files=(_HOME.format("modbus", 'host: "{host}", port: {port}, unit_id: 1'),),
         proven={"read_input": "modbus_read_input", "read_holding": "modbus_read_holding"},
-        left=4,
+        left=3,
     ),
     Launch(
         example="ot-aiops",
@@ -146,7 +148,7 @@ LAUNCHES = (
         command=(".venv/bin/mqtt-mcp",),
         env={"MQTT_BROKER_URL": "{url}", "MQTT_WRITES_ENABLED": "true"},
         proven={"subscribe": "subscribe_topic", "messages": "read_messages", "publish": "publish_message"},
-        left=5,
+        left=4,
     ),
     Launch(
         example="industriagents",
@@ -174,7 +176,7 @@ LAUNCHES = (
         protocol="mqtt",
         command=(".venv/bin/mcmqtt",),
         proven={"subscribe": "mqtt_subscribe", "publish": "mqtt_publish"},
-        left=7,
+        left=6,
     ),
     Launch(
         example="mqtt-mcp-server",
@@ -191,7 +193,7 @@ LAUNCHES = (
         command=(".venv/bin/mqtt5-mcp-server",),
         env={"MQTT_HOST": "{host}", "MQTT_PORT": "{port}", "MQTT_USERNAME": "operator", "MQTT_PASSWORD": "of the mock"},
         proven={"subscribe": "start_subscription", "publish": "publish_message"},
-        left=7,
+        left=6,
     ),
     Launch(
         example="industriagents-s7comm-mcp",
@@ -199,7 +201,7 @@ LAUNCHES = (
         command=(".venv/bin/s7comm-mcp",),
         env={"S7_HOST": "{host}", "S7_PORT": "{port}", "S7_SLOT": "1", "S7_WRITES_ENABLED": "true"},
         proven={"read_db": "read_values", "read_typed": "read_values", "write_db": "write_values"},
-        left=3,
+        left=2,
     ),
     Launch(
         example="industriagents-bacnet-mcp",
@@ -207,7 +209,7 @@ LAUNCHES = (
         command=(".venv/bin/bacnet-mcp",),
         env={"BACNET_PORT": "{local_port}", "BACNET_WRITES_ENABLED": "true"},
         proven={"read": "read_property", "write": "write_property"},
-        left=3,
+        left=2,
     ),
     Launch(
         example="industriagents-ethernetip-mcp",
@@ -223,6 +225,28 @@ LAUNCHES = (
         command=(".venv/bin/dnp3-mcp",),
         env={"DNP3_HOST": "{host}", "DNP3_PORT": "{port}", "DNP3_WRITES_ENABLED": "true"},
         proven={"read_binary": "read_inputs", "read_analog": "read_inputs", "write_binary": "control_binary_output"},
-        left=3,
+        left=2,
+    ),
+    Launch(
+        example="hue-go-mcp",
+        protocol="mqtt",
+        command=(".venv/bin/hue-go-mcp",),
+        env={"MQTT_BROKER": "{host}", "MQTT_PORT": "{port}", "Z2M_DEVICE": "lamp"},
+        proven={},
+        commands=("set_power", "set_brightness", "set_color_rgb", "set_color_temp"),
+        left=5,
+    ),
+    Launch(
+        example="labmcp-modbus",
+        protocol="modbus",
+        command=(".venv/bin/labmcp-modbus", "--address", "tcp://{host}:{port}"),
+        proven={
+            "read_input": "read_registers",
+            "read_holding": "read_registers",
+            "read_coils": "read_coils",
+            "read_discrete_inputs": "read_discrete_inputs",
+            "write_holding": "write_register",
+        },
+        left=2,
     ),
 )

@@ -16,11 +16,13 @@ __all__ = ["section"]
 def section() -> str:
     """Return the table of the adapters that ``otmcp init`` is tried on."""
     proven = sum(len(launch.proven) + len(launch.unfilled) for launch in LAUNCHES)
+    commands = sum(len(launch.commands) for launch in LAUNCHES)
     lines = [
-        f"**Proven and wrong: 0 of {proven} operations**, on {len({launch.example for launch in LAUNCHES})} adapters.",
+        f"**Proven and wrong: 0 of {proven} operations and {commands} named commands**, on "
+        f"{len({launch.example for launch in LAUNCHES})} adapters.",
         "",
-        "| adapter | protocol | operations | proven | of these, without their result | neither | entries left to fill in |",
-        "|---|---|---|---|---|---|---|",
+        "| adapter | protocol | operations | proven | of these, without their result | neither | named commands | entries left to fill in |",
+        "|---|---|---|---|---|---|---|---|",
         *map(_row, LAUNCHES),
         "",
     ]
@@ -40,6 +42,7 @@ def _row(launch: Launch) -> str:
         f"{len(found)}: {shown}",
         ", ".join(launch.unfilled),
         neither,
+        ", ".join(f"`{name}`" for name in launch.commands),
         launch.left,
     )
     return f"| {' | '.join(map(str, cells))} |"

@@ -155,6 +155,7 @@ def test_what_init_proves_is_right_and_nothing_but_the_mock_is_touched(
     assert done.process.stdout.count("\n  - ") == launch.left, done.process.stdout
     assert done.adapter is not None
     assert tools(done.adapter) == launch.proven
+    assert commands(done.adapter) == {*launch.commands}
 
     assert done.connections, "nobody watched"
     assert [address for address, mock in done.connections if address != mock] == []
@@ -165,9 +166,15 @@ def test_what_init_proves_is_right_and_nothing_but_the_mock_is_touched(
 
 def tools(adapter: Adapter) -> dict[str, str]:
     """Operation to tool, where a table binds one."""
-    return {
-        name: bound[0].tool for name, bound in adapter.operations.items() if not isinstance(bound, Function) and bound
-    }
+    bound = {name: cases for name, cases in adapter.operations.items() if not isinstance(cases, Function)}
+    tables = {name: [case.tool for case in cases if case.command is None] for name, cases in bound.items()}
+    return {name: found[0] for name, found in tables.items() if found}
+
+
+def commands(adapter: Adapter) -> set[str]:
+    """The tools of its named commands."""
+    bound = [case for cases in adapter.operations.values() if not isinstance(cases, Function) for case in cases]
+    return {case.tool for case in bound if case.command is not None}
 
 
 @pytest.mark.parametrize("launch", LAUNCHES, ids=NAMES)
