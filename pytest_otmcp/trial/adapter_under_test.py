@@ -621,7 +621,7 @@ class AdapterUnderTest:
         if not binding.answering.native:
             self._note_unmet(exchange)
         reply = replace(observe(exchange, expected), taken=taken)
-        if binding.keep and reply.success and exchange.response is not None:
+        if binding.keep and altered is None and reply.success and exchange.response is not None:
             rules = {name: rule.about(binding.told(inputs)) for name, rule in binding.keep.items()}
             values = kept_of(rules, parse_strict(exchange.response), binding.answering)
             self._handles.keep(operation, binding.tool, dict(inputs), values)
