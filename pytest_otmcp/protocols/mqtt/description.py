@@ -21,6 +21,7 @@ from .trace import facts
 __all__ = ["PROTOCOL"]
 
 _AS_HOST = "speaks Sparkplug B as a host application, not as an edge node"
+_HOST_ALONE = "is a Sparkplug B host application, and has no tool for it"
 _NOT_AT_ALL = "does not speak Sparkplug B"
 
 PROTOCOL = OtProtocol(
@@ -30,6 +31,8 @@ PROTOCOL = OtProtocol(
     scheme="mqtt",
     operations=OPERATIONS,
     composites={
+        "command": Composite(one_of=("send_device_command", "send_node_command")),
+        "heard": Composite(one_of=("sparkplug_nodes", "sparkplug_metrics")),
         "receive": Composite(facets=("subscribe", "messages"), if_waiting={"messages": ("messages",)}),
     },
     probes={"bad_qos": 5},
@@ -43,6 +46,7 @@ PROTOCOL = OtProtocol(
                 "host": {"device_birth": _AS_HOST, "device_data": _AS_HOST},
                 "none": {"device_birth": _NOT_AT_ALL, "device_data": _NOT_AT_ALL},
             },
+            unbound={"host": dict.fromkeys(("info", "subscribe", "messages", "publish"), _HOST_ALONE)},
         ),
     ),
     lists={COMMAND_TOPICS: "Topic filters, beside control/#, below which a publication commands the plant."},
