@@ -862,6 +862,11 @@ async def _lists(
         )
         run.judge(reply, [Finding(code="wrong_value", message=message, requirement="SPB-011", evidence=evidence)])
     run.judge(reply, _told(reply, _listed(node, device), wanted, "SPB-011"))
+    if mqtt.claims("sparkplug_nodes") and mqtt.claims("sparkplug_metrics") and alive:
+        # What the list has shown is known.
+        told = await mqtt.call("sparkplug_metrics", **_target(mqtt, device, "sparkplug_metrics"))
+        if run.succeeds(told):
+            run.judge(told, _told(told, _listed(_node_of(told, device) or {}, device), wanted, "SPB-011"))
 
 
 def _wrong(node: Mapping[str, Any], expected: Mapping[str, bool]) -> list[str]:
