@@ -6,6 +6,7 @@ That every session of an edge node keeps the rules of births, deaths and sequenc
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -951,3 +952,54 @@ def _left_orderly(entries: Entries, device: str) -> list[Finding]:
             message = "the edge node should have published NDEATH before its DISCONNECT, it published none"
             return [oracle.broken_rule("SPB-012", message, entries, strength="SHOULD")]
     return []
+
+
+# -- SPB-013 ------------------------------------------------------------------------------------------------
+
+
+@TASKS.check("SPB-013", "A host that says that it is there says so on every connection.", needs="mqtt.host")
+async def a_host_is_born_on_every_connection(run: Repetition, mqtt: Rig) -> None:
+    """Of an adapter that publishes a STATE: end its connection, so that the broker publishes its will; then publish in its name that it is
+    not online, as a will of before that comes late.
+
+    Said: anything.
+    Seen: on the new connection, and again after the second, STATE with `online` true, QoS 1 and retained; the CONNECT has the opposite as its will,
+        with the same timestamp (tck-id-message-flow-phid-sparkplug-state-publish, tck-id-host-topic-phid-birth-payload-timestamp,
+        tck-id-message-flow-hid-sparkplug-state-message-delivered).
+    Why: edge nodes that wait for their primary host stay silent, or go to another broker, while it says that it is away.
+    """
+    if not (mqtt.claims("recovery") and mqtt.reconnects):
+        run.not_applicable("the adapter is not said to connect again by itself")
+    await _is_asked(mqtt)
+    await mqtt.watch(QUIET_S)
+    topic = (await mqtt.follow(oracle.HostState)).topic
+    if topic is None:
+        run.not_applicable("the adapter publishes no STATE")
+    known = {packet["connection"] for packet in adapter_packets(await mqtt.journal())}
+    await _cut(mqtt)
+    await mqtt.wait_for(kind="SUBACK", direction="out", timeout_s=_LET_IN_S)
+    await _is_asked(mqtt)
+
+    def born_again(entries: Entries) -> bool:
+        return any(one["connection"] not in known for one in oracle.state_births(entries, topic))
+
+    if not await until(mqtt, born_again):
+        message = f"{topic} should say again that the host is online, as it has a new connection; it does not"
+        run.witnessed([oracle.broken_rule("SPB-013", message, await mqtt.journal())])
+        return
+    births = len(oracle.state_births(await mqtt.journal(), topic))
+    death = base64.b64encode(b'{"online": false, "timestamp": 1700000000000}').decode()
+    await mqtt.poke(publish={"topic": topic, "payload": death, "qos": 1, "retain": True})
+    if not await until(mqtt, lambda entries: len(oracle.state_births(entries, topic)) > births):
+        message = f"{topic} told that the host is not online, which the host should have put right; it did not"
+        run.witnessed([oracle.broken_rule("SPB-013", message, await mqtt.journal())])
+
+
+async def _is_asked(mqtt: Rig) -> None:
+    """Have an adapter connect that does so when it is called; what it answers is the matter of other checks."""
+    if mqtt.claims("sparkplug_nodes"):
+        await mqtt.call("sparkplug_nodes")
+    elif mqtt.claims("sparkplug_metrics"):
+        await mqtt.call("sparkplug_metrics", **_target(mqtt, "device-1", "sparkplug_metrics"))
+    else:
+        await mqtt.prove()

@@ -466,7 +466,7 @@ def _nothing_published(reply: Reply, entries: Entries) -> list[Finding]:
         topic = str(message.get("topic"))
         of_sparkplug = parse_topic(topic) is not None and not asks_for_births(message)
         if of_sparkplug or payload_of(message).decode("utf-8", "replace") == reply.arguments.get("payload"):
-            text = f"{reply.label}: it was refused, the broker saw a PUBLISH on {topic}"
+            text = f"{reply.label}: with writes disabled the broker saw a PUBLISH on {topic}"
             return [Finding(code="wrote", message=text, requirement="WR-004")]
     return []
 

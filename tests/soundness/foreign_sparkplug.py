@@ -190,7 +190,10 @@ class Host:
 
     def _received(self, client: paho.Client, data: Any, packet: paho.MQTTMessage) -> None:
         if packet.topic == STATE:
-            if json.loads(packet.payload).get("online") is False and self._lie != "believes-its-death":
+            if json.loads(packet.payload).get("online") is False and self._lie not in (
+                "believes-its-death",
+                "state-once",
+            ):
                 # Somebody else's will, or its own of before (tck-id-operational-behavior-host-application-...).
                 client.publish(STATE, self._told(online=True), qos=1, retain=True)
             return

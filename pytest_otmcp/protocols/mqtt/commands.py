@@ -15,7 +15,16 @@ from ..protocol import Declared
 from .entries import as_mqtt, payload_of
 from .sparkplug_decoder import decode_message, parse_topic
 
-__all__ = ["COMMAND_TOPICS", "REBIRTH", "SCAN_RATE", "asks_for_births", "commands", "declares", "is_sparkplug_command"]
+__all__ = [
+    "COMMAND_TOPICS",
+    "REBIRTH",
+    "SCAN_RATE",
+    "asks_for_births",
+    "commands",
+    "declares",
+    "is_sparkplug_command",
+    "selects",
+]
 
 COMMAND_TOPICS = "command_topics"
 """Key of the subject file: further topic filters below which the plant listens for commands."""
@@ -39,7 +48,7 @@ def commands(entry: JournalEntry, declared: Declared) -> bool:
     sparkplug = parse_topic(topic)
     if sparkplug is not None:
         return sparkplug.type in ("NCMD", "DCMD") and not asks_for_births(entry)
-    return any(_matches(text, topic) for text in (_PLANT, *declared.get(COMMAND_TOPICS, ())))
+    return any(selects(text, topic) for text in (_PLANT, *declared.get(COMMAND_TOPICS, ())))
 
 
 def is_sparkplug_command(entry: JournalEntry, inputs: Mapping[str, Any]) -> bool:
@@ -72,7 +81,7 @@ def declares(operation: str, effect: Mapping[str, str]) -> Mapping[str, list[str
     return {COMMAND_TOPICS: [effect["topic"]]} if "topic" in effect else {}
 
 
-def _matches(text: str, topic: str) -> bool:
+def selects(text: str, topic: str) -> bool:
     """Tell whether a topic filter selects the topic (MQTT 3.1.1, section 4.7)."""
     wanted, levels = text.split("/"), topic.split("/")
     if topic.startswith("$") != text.startswith("$"):

@@ -12,6 +12,7 @@ from .decoder import MqttConversation, packet_length
 from .entries import delivered_again, describe, messages
 from .exercise import EXERCISE
 from .external import EXTERNAL
+from .host_state import HostState
 from .operations import OPERATIONS
 from .oracle import Publications, Refused, Subscriptions, no_command
 from .proof import PROOF
@@ -32,6 +33,7 @@ PROTOCOL = OtProtocol(
     operations=OPERATIONS,
     composites={
         "command": Composite(one_of=("send_device_command", "send_node_command")),
+        "host": Composite(one_of=("sparkplug_nodes", "sparkplug_metrics", "send_device_command", "send_node_command")),
         "heard": Composite(one_of=("sparkplug_nodes", "sparkplug_metrics")),
         "receive": Composite(facets=("subscribe", "messages"), if_waiting={"messages": ("messages",)}),
     },
@@ -76,7 +78,7 @@ PROTOCOL = OtProtocol(
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
-    session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, Births, Exchanges),
+    session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, Births, HostState, Exchanges),
     proof=PROOF,
     exercise=EXERCISE,
     always=True,

@@ -18,11 +18,13 @@ from ..session_oracle import SessionOracle
 from .commands import asks_for_births, commands, is_sparkplug_command
 from .entries import FirstPackets, MqttEntry, adapter_packets, delivered_again, describe, payload_of, shown
 from .entries import messages as published
+from .host_state import HostState, state_births
 from .sparkplug_decoder import NAMESPACE, parse_topic
 from .sparkplug_oracle import Births, SparkplugSequence, broken_rule, commanded_once, ddata_metric, reported
 
 __all__ = [
     "Births",
+    "HostState",
     "Publications",
     "Refused",
     "SparkplugSequence",
@@ -44,6 +46,7 @@ __all__ = [
     "published_once",
     "reported",
     "session_stays_up",
+    "state_births",
     "subscription_lost",
     "unsubscribed",
 ]
