@@ -68,8 +68,21 @@ class Draft:
     tools: Sequence[str]
     longest_s: float
     errors: Mapping[str, Sequence[str]]
+    choices: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     switches: Sequence[str] = ()
     left: list[str] = field(default_factory=list)
+
+    @property
+    def lacking(self) -> set[str]:
+        """The operations that an adapter with the keys of its protocol as they are proposed need not have."""
+        known = protocols()[self.protocol].choices
+        chosen = [(choice, self.choices[choice.key][0]) for choice in known if choice.key in self.choices]
+        return {
+            operation
+            for choice, value in chosen
+            for operation in (*choice.unclaims[value], *choice.unbound.get(value, {}))
+            if operation not in self.proposals
+        }
 
     @property
     def spared(self) -> list[str]:
@@ -121,6 +134,8 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         ]
     if draft.transport_url is not None:
         lines += ['transport = "http"', f"url = {_value(draft.transport_url)}"]
+    for key, (value, why) in draft.choices.items():
+        lines += [f"# {why}", f"{key} = {_value(value)}"]
     lines += [
         "# How are writes disabled? The variant `ro` must refuse every write, `rw` must allow them; without that there can be a",
         "# conformant run, but no certificate. For instance:",
@@ -143,8 +158,8 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     lines += _unclaimed(draft)
     # The file cannot be read without this table, even an empty one.
     lines += ["", f"[adapter.{draft.protocol}.bind]"]
-    for operation in protocols()[draft.protocol].operations:
-        if operation in draft.proposals or not protocols()[draft.protocol].operations[operation].voluntary:
+    for operation, known in protocols()[draft.protocol].operations.items():
+        if operation in draft.proposals or not (known.voluntary or operation in draft.lacking):
             lines += ["", *_binding(draft, operation, form)]
     # A comment may repeat the adapter's words: it stays one line, of characters that TOML allows in a comment.
     return "\n".join(printable(line) if line.startswith("#") else line for line in lines) + "\n"
@@ -185,7 +200,7 @@ def _unclaimed(draft: Draft) -> list[str]:
         f"{GUARD} = {_value(_NO_SWITCH)}",
     ]
     for operation, asked in protocols()[draft.protocol].operations.items():
-        if operation not in draft.proposals and not asked.voluntary and operation not in draft.spared:
+        if operation not in {*draft.proposals, *draft.spared, *draft.lacking} and not asked.voluntary:
             lines += [f"# No tool is called like one for it: {asked.meaning}.", f"{operation} = {_value(_NO_TOOL)}"]
     return ["", f"[adapter.{draft.protocol}.unclaimed]", *lines]
 

@@ -134,6 +134,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         switches=switches_in(str(tool.get("description") or "") for tool in tools.values()),
         longest_s=experimenter.longest_s,
         errors=pack.errors,
+        choices=pack.choices(proposals),
         left=[*_nothing_valid(experimenter), *left],
     )
 

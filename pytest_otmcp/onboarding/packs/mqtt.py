@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import re
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from ...protocols.mqtt.commands import SCAN_RATE, is_sparkplug_command
 from ...subject.answers import extract, read_answer
 from ...subject.model import OutputRule, placeholders
 from ..evidence import Sample, claims_success, find
@@ -21,6 +24,9 @@ __all__ = ["PACK"]
 _ENDINGS = ("UNSUBSCRIBE", "DISCONNECT", "DISCONNECTED")
 _COLLECTED, _KEPT = "otmcp/init/z", "otmcp/init/x"
 """Topics of the messages that a call waits for, and of those that are asked for later."""
+
+_LOOKS, _LOOK_S = 20, 0.05
+"""How often a tool is asked for what a node has reported, and the pause in between."""
 
 _LOSES = "it does not give all messages"
 _WAITING_S, _SUBSCRIBING_S = 2, 4.0
@@ -177,6 +183,77 @@ async def _report(experimenter: Experimenter, guess: Guess, kind: str, further: 
     return experimenter.propose(guess, shown, proven=seen, seen=f"a {kind}" if seen else "")
 
 
+async def _known_metrics(experimenter: Experimenter, guess: Guess) -> Proposal:
+    """Try a tool that tells what is known of a device of the mock's edge node, which is born with a random value."""
+    value = _random_setpoint(experimenter)
+    setpoint = {"device": "device-1", "name": "setpoint", "datatype": "Double", "value": value, "writable": True}
+    for poke in ({"metrics": [setpoint]}, {"rebirth": True}):
+        await experimenter.device.poke(edge_node=poke)
+    for _ in range(_LOOKS):
+        shown = await experimenter.call(guess, {}, group="factory", node="edge-node-1", device="device-1")
+        place = None if shown.message is None else _metrics_in(shown.message, value)
+        if place is not None:
+            break
+        await asyncio.sleep(_LOOK_S)
+    proposal = experimenter.propose(guess, shown, proven=place is not None, seen="")
+    if place is None:
+        proposal.evidence = [f"a value that the device's node has reported was not in the answer: {shown.words}"]
+        return proposal
+    proposal.returned = True
+    proposal.form, proposal.outputs["metrics"] = place
+    proposal.evidence = ["a value that the device's node has reported is in the answer"]
+    document = read_answer(shown.message or {}, place[0])[0]
+    if isinstance(document, dict) and document.get("online") is True:
+        proposal.outputs["online"] = {"path": "online"}
+    return proposal
+
+
+def _random_setpoint(experimenter: Experimenter) -> float:
+    return 1.0 + experimenter.random.getrandbits(40) / 2**34
+
+
+def _metrics_in(message: Mapping[str, object], setpoint: float) -> tuple[str, Mapping[str, object]] | None:
+    """Return the form of an answer, and the rule for metrics in it, by name or in a list with names; None where they are not there."""
+    for form in ("structured", "json"):
+        found = find([Sample(message=message, expected=setpoint)], (form,))
+        path = "" if found is None else str(found.rule.get("path"))
+        if by_name := re.fullmatch(r"(?:(.+)\.)?setpoint(?:\.value)?", path):
+            return form, {"path": by_name[1] or "@"}
+        if in_list := re.fullmatch(r"(?:(.*[^.]))?\[\d+\]\.value", path):
+            return form, {"path": in_list[1] or "@"}
+    return None
+
+
+async def _node_command(experimenter: Experimenter, guess: Guess) -> Proposal:
+    scan_rate = {"name": SCAN_RATE, "datatype": "Int64", "value": experimenter.random.randrange(1_000, 2**40)}
+    return await _command(experimenter, guess, {"metrics": [scan_rate]})
+
+
+async def _device_command(experimenter: Experimenter, guess: Guess) -> Proposal:
+    setpoint = {"name": "setpoint", "datatype": "Double", "value": _random_setpoint(experimenter)}
+    return await _command(experimenter, guess, {"device": "device-1", "metrics": [setpoint]})
+
+
+async def _command(experimenter: Experimenter, guess: Guess, inputs: dict[str, Any]) -> Proposal:
+    inputs = {"group": "factory", "node": "edge-node-1", **inputs}
+    shown = await experimenter.call(guess, {}, **inputs)
+    done = any(entry["kind"] == "PUBLISH" and is_sparkplug_command(entry, inputs) for entry in shown.entries)
+    proposal = experimenter.propose(guess, shown, proven=done, seen="the command" if done else "")
+    if done:
+        experimenter.provoke(proposal, "invalid_input", **{**inputs, "node": ""})
+    return proposal
+
+
+def _role(proposals: Mapping[str, Proposal]) -> Mapping[str, tuple[str, str]]:
+    """Return the role of an adapter that commands other edge nodes, or knows them, and publishes as none itself."""
+    if proposals.keys() & {"device_birth", "device_data"} or not proposals.keys() & _OF_HOSTS:
+        return {}
+    names = ", ".join(sorted({proposals[name].guess.tool for name in proposals.keys() & _OF_HOSTS}))
+    return {"sparkplug": ("host", f"It has tools of a Sparkplug host application, and none of an edge node: {names}.")}
+
+
+_OF_HOSTS = frozenset({"send_device_command", "send_node_command", "sparkplug_nodes", "sparkplug_metrics"})
+
 PACK = Pack(
     protocol="mqtt",
     operations={
@@ -221,9 +298,20 @@ PACK = Pack(
         "node_data": plain("node data", r"(publish|send)?_?(sparkplug_?)?(node_?data|ndata)"),
         "node_death": plain("node death", r"(publish|send)?_?(sparkplug_?)?(node_?death|ndeath)"),
         "device_death": plain("device death", r"(publish|send)?_?(sparkplug_?)?(device_?death|ddeath)"),
-        "send_node_command": plain("node command", r"(publish|send)?_?(sparkplug_?)?(node_?(command|cmd)|ncmd)"),
-        "send_device_command": plain("device command", r"(publish|send)?_?(sparkplug_?)?(device_?(command|cmd)|dcmd)"),
+        "send_node_command": plain(
+            "node command", r"(publish|send|write)?_?(sparkplug_?)?(node_?(command|cmd|metrics?)|ncmd)", _node_command
+        ),
+        "send_device_command": plain(
+            "device command",
+            r"(publish|send|write|set)?_?(sparkplug_?)?(device_?(command|cmd|metrics?)|dcmd)",
+            _device_command,
+        ),
         "sparkplug_nodes": plain("nodes", r"(list|get)_?(sparkplug|edge)_?nodes"),
+        "sparkplug_metrics": plain(
+            "device metrics",
+            r"((get|read|list)_?)?(sparkplug_?)?device_?(metrics?|values?)|read_sparkplug_device",
+            _known_metrics,
+        ),
         "decode_sparkplug": plain("decode", r"decode_?sparkplug(_?b)?(_?payload)?"),
     },
     arguments={
@@ -233,11 +321,13 @@ PACK = Pack(
         "topic": "topic topic_name",
         "payload": "payload message data content body value",
         "device": "device_id device device_name",
-        "metrics": "metrics values data",
+        "metrics": "metrics values data metric_values",
         "node": "edge_node_id edge_node node_id node",
+        "group": "group_id group sparkplug_group_id",
     },
     lists=frozenset({"metrics"}),
     names=("mqtt",),
+    choices=_role,
     # A message without acknowledgement can still be on its way when the answer has come.
     late={"kind": "PUBLISH", "direction": "in"},
     errors={
