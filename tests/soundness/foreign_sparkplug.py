@@ -375,20 +375,23 @@ def mqtt_listener(lie: str | None, read_only: bool) -> Shape:
         except Failure as failure:
             return prose(f"Error: {failure.kind}: {failure}", is_error=True)
 
-    async def read_metrics(node: str, device: str) -> Result:
+    async def get_device_values(node: str, device: str) -> Result:
         def metrics() -> list[dict[str, Any]]:
             return listed(host.metrics("factory", node, device)[1])
 
         return await did(metrics)
 
-    async def set_metrics(node: Any, device: Any, values: Any) -> Result:
+    async def set_device_metrics(node: Any, device: Any, values: Any) -> Result:
         return await did(host.command, "factory", node, device, values)
 
     target = {"node": "string", "device": "string"}
     return Shape(
         tools={
-            "read_metrics": (target, read_metrics),
-            "set_metrics": ({**target, "values": {"type": "array", "items": {"type": "object"}}}, set_metrics),
+            "get_device_values": (target, get_device_values),
+            "set_device_metrics": (
+                {**target, "values": {"type": "array", "items": {"type": "object"}}},
+                set_device_metrics,
+            ),
         },
         strict=True,
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -187,14 +186,16 @@ async def _known_metrics(experimenter: Experimenter, guess: Guess) -> Proposal:
     """Try a tool that tells what is known of a device of the mock's edge node, which is born with a random value."""
     value = _random_setpoint(experimenter)
     setpoint = {"device": "device-1", "name": "setpoint", "datatype": "Double", "value": value, "writable": True}
-    for poke in ({"metrics": [setpoint]}, {"rebirth": True}):
-        await experimenter.device.poke(edge_node=poke)
-    for _ in range(_LOOKS):
+    for look in range(_LOOKS):
+        if look:
+            await asyncio.sleep(_LOOK_S)
+        # Whoever begins to listen when it is first asked hears of the next births.
+        for poke in ({"metrics": [setpoint]}, {"rebirth": True}):
+            await experimenter.device.poke(edge_node=poke)
         shown = await experimenter.call(guess, {}, group="factory", node="edge-node-1", device="device-1")
         place = None if shown.message is None else _metrics_in(shown.message, value)
         if place is not None:
             break
-        await asyncio.sleep(_LOOK_S)
     proposal = experimenter.propose(guess, shown, proven=place is not None, seen="")
     if place is None:
         proposal.evidence = [f"a value that the device's node has reported was not in the answer: {shown.words}"]
@@ -203,8 +204,9 @@ async def _known_metrics(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal.form, proposal.outputs["metrics"] = place
     proposal.evidence = ["a value that the device's node has reported is in the answer"]
     document = read_answer(shown.message or {}, place[0])[0]
-    if isinstance(document, dict) and document.get("online") is True:
-        proposal.outputs["online"] = {"path": "online"}
+    beside = [*str(place[1]["path"]).split(".")[:-1], "online"]
+    if extract({"online": OutputRule(path=".".join(beside))}, document)["online"] is True:
+        proposal.outputs["online"] = {"path": ".".join(beside)}
     return proposal
 
 
@@ -215,13 +217,24 @@ def _random_setpoint(experimenter: Experimenter) -> float:
 def _metrics_in(message: Mapping[str, object], setpoint: float) -> tuple[str, Mapping[str, object]] | None:
     """Return the form of an answer, and the rule for metrics in it, by name or in a list with names; None where they are not there."""
     for form in ("structured", "json"):
-        found = find([Sample(message=message, expected=setpoint)], (form,))
-        path = "" if found is None else str(found.rule.get("path"))
-        if by_name := re.fullmatch(r"(?:(.+)\.)?setpoint(?:\.value)?", path):
-            return form, {"path": by_name[1] or "@"}
-        if in_list := re.fullmatch(r"(?:(.*[^.]))?\[\d+\]\.value", path):
-            return form, {"path": in_list[1] or "@"}
+        path = _metrics_path(read_answer(message, form)[0], setpoint)
+        if path is not None:
+            return form, {"path": ".".join(path) or "@"}
     return None
+
+
+def _metrics_path(document: object, setpoint: float) -> tuple[str, ...] | None:
+    """Return the members that lead to metrics of which one is the setpoint with this value."""
+    if isinstance(document, list):
+        named = [one.get("value") for one in document if isinstance(one, dict) and one.get("name") == "setpoint"]
+        return () if named == [setpoint] else None
+    if not isinstance(document, dict):
+        return None
+    told = document.get("setpoint")
+    if setpoint == (told.get("value") if isinstance(told, dict) else told):
+        return ()
+    below = ((name, _metrics_path(member, setpoint)) for name, member in document.items() if name.isidentifier())
+    return next(((name, *path) for name, path in below if path is not None), None)
 
 
 async def _node_command(experimenter: Experimenter, guess: Guess) -> Proposal:
