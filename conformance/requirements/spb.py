@@ -532,7 +532,9 @@ async def a_rebirth_is_carried_out(run: Repetition, mqtt: Rig) -> None:
 
 def _reborn(node: tuple[str, str], devices: Sequence[str], entries: Entries) -> str | None:
     """Return what is missing of a rebirth; None where it is complete."""
-    mine = [one for one in sparkplug(entries) if (one[1]["group"], one[1]["edge_node"]) == node]
+    # A host application of the same adapter may command the node as well.
+    told = sparkplug(entries, "NBIRTH", "DBIRTH", "NDATA", "DDATA", "NDEATH", "DDEATH")
+    mine = [one for one in told if (one[1]["group"], one[1]["edge_node"]) == node]
     births = [index for index, (_, message) in enumerate(mine) if message["type"] == "NBIRTH"]
     if any(message["type"] == "NDEATH" for _, message in mine):
         return "it sent an NDEATH"

@@ -18,6 +18,7 @@ from ...mqtt.edge_node import EdgeNode
 from ...mqtt.link import Link
 from ...mqtt.payload import Metric
 from ...mqtt.topics import NAMESPACE
+from ..host_application import beside
 from ..mqtt import link_of
 from ..mutant import Data, Handler, Mutant, each, wrap
 from ..sparkplug import (
@@ -37,6 +38,7 @@ _LEVELS = Annotated[str, Field(min_length=1, pattern="^[^+#]+$")]
 _LEVEL_OR_NOTHING = Annotated[str | None, Field(pattern="^[^/+#]*$")]
 _EVERY = " ".join(f"SPB-{number:03}.mqtt" for number in (1, 2, 3, 4, 5, 6, 8, 9, 12))
 """The checks in which the adapter publishes as an edge node."""
+_EVERY_SPARKPLUG = f"{_EVERY} SPB-010 SPB-011 SPB-013"
 
 
 def encoding(change: Callable[[Metric], Metric]) -> Callable[[AdapterServer], None]:
@@ -418,5 +420,17 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant("128", "The metrics of a node that died stay good.", deaths_ignored, "SPB-011", "SPB-011"),
     _mutant("128a", "Aliases are not resolved.", aliases_unresolved, "SPB-011", "SPB-011"),
     _mutant("128b", "The death of an earlier life counts.", every_death_believed, "SPB-011", "SPB-011"),
+    _mutant(
+        "130",
+        "A host tells its STATE on its first connection alone.",
+        beside(once=True, corrects=False),
+        "SPB-013",
+        "SPB-013",
+    ),
+    _mutant("130b", "A host believes that it is away.", beside(corrects=False), "SPB-013", "SPB-013"),
+    _mutant("130r", "The STATE of a host is not retained.", beside(retained=False), _EVERY_SPARKPLUG, "SPB-013"),
+    _mutant(
+        "130t", "The STATE of a host has another time than its will.", beside(later_ms=1), _EVERY_SPARKPLUG, "SPB-013"
+    ),
     _mutant("128g", "A gap in the sequence is not told.", gaps_untold, "SPB-011", "SPB-011"),
 )

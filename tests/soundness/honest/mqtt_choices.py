@@ -11,7 +11,6 @@ import secrets
 import struct
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from types import SimpleNamespace
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import paho.mqtt.client as paho
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.defects.host_application import beside
 from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.mqtt import connection as connections
 from pytest_otmcp.reference_adapters.mqtt import edge_node as edge_nodes
@@ -252,36 +252,7 @@ def new_client_identifiers(server: AdapterServer) -> None:
     "tck-id-intro-sparkplug-host-state, tck-id-operational-behavior-host-reordering-rebirth",
 )
 def host_application(server: AdapterServer) -> None:
-    state, known, stamp = "spBv1.0/STATE/acme-host", set[str](), [0]
-    host, _, port = server.endpoint.partition("://")[2].rpartition(":")
-    client = paho.Client(paho.CallbackAPIVersion.VERSION2)
-    client.reconnect_delay_set(0.05, 0.1)
-
-    def told(online: bool) -> str:
-        return json.dumps({"online": online, "timestamp": stamp[0]})
-
-    def before(client: Any, data: Any) -> None:
-        stamp[0] = time.time_ns() // 1_000_000
-        client.will_set(state, told(False), qos=1, retain=True)
-
-    def received(client: Any, data: Any, message: paho.MQTTMessage) -> None:
-        _, group, kind, node, *_ = [*message.topic.split("/"), ""]
-        if message.topic == state and b"false" in message.payload:
-            client.publish(state, told(True), qos=1, retain=True)
-        elif kind == "NBIRTH":
-            known.add(node)
-        elif kind.endswith("DATA") and node not in known:
-            known.add(node)
-            rebirth = sparkplug.encode([Metric(name=sparkplug.REBIRTH, datatype="Boolean", value=True)], None)
-            client.publish(f"spBv1.0/{group}/NCMD/{node}", rebirth)
-
-    client.on_pre_connect = before
-    client.on_connect = lambda *_: client.subscribe([("spBv1.0/STATE/acme-host", 1), ("spBv1.0/#", 0)])
-    client.on_subscribe = lambda *_: client.publish(state, told(True), qos=1, retain=True)
-    client.on_disconnect = lambda *_: known.clear()
-    client.on_message = received
-    client.connect_async(host, int(port), keepalive=30)
-    client.loop_start()
+    beside()(server)
 
 
 @choice("subscribes to # from the start", "reading changes nothing")
