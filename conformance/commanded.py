@@ -29,11 +29,12 @@ def some_command(run: Repetition, at: Rig) -> Asked:
 
 
 async def asked_of_the_device(at: Rig, asked: Asked, reply: Reply) -> Entries:
-    """Return what reached the device during a call that writes; of a named command also what has come since.
+    """Return what reached the device during a call that writes; of a named command, and of what no device confirms, also what has come
+    since.
 
     What a command sends may need no answer, as a message of QoS 0, and is on its way then when the call is answered.
     """
-    if not (at.by_command_alone(asked.operation) or asked.then):
+    if not (asked.unconfirmed or at.by_command_alone(asked.operation) or asked.then):
         return reply.during(await at.journal())
     if reply.success and len(_done(at, asked, _since(reply, await at.journal()))) < 1 + len(asked.then):
         await at.watch(_LATE_S)

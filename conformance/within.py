@@ -38,7 +38,7 @@ def exercise(at: Rig) -> Exercise:
     where it has some, and by a call that waits or a status where it has no other read."""
     found = protocols()[at.protocol].exercise
     assert found is not None, f"{at.protocol} has no exercise, so it has no such checks"
-    return _narrowed(at, _by_command(at, _answered(at, _waiting_for_texts(at, found))))
+    return _narrowed(at, _by_command(at, _otherwise(at, _answered(at, _waiting_for_texts(at, found)))))
 
 
 def _waiting_s(at: Rig) -> int:
@@ -75,6 +75,29 @@ def _answered(at: Rig, exercise: Exercise) -> Exercise:
         reading=asked.operation,
         read=lambda rng: Asked(operation=asked.operation, inputs=asked.made(rng)),
     )
+
+
+def _otherwise(at: Rig, exercise: Exercise) -> Exercise:
+    """Return the exercise with the write that takes the place of its own, for an adapter that has no operation for that."""
+    others = () if at.claims(exercise.writing) else exercise.otherwise
+    instead = next((one for one in others if at.claims(one.operation)), None)
+    if instead is None:
+        return exercise
+    return replace(
+        exercise,
+        writing=instead.operation,
+        write=lambda rng: _taken(at, instead.write(rng)),
+        number=None,
+        bounded=(),
+        outside=instead.outside,
+    )
+
+
+def _taken(at: Rig, asked: Asked) -> Asked:
+    """Return a call without the inputs that only some tools take, and that of the adapter does not."""
+    voluntary = protocols()[at.protocol].operations[asked.operation].voluntary_inputs
+    left_out = [name for name in voluntary if name in asked.inputs and not at.accepts_input(asked.operation, name)]
+    return replace(asked, inputs={name: value for name, value in asked.inputs.items() if name not in left_out})
 
 
 def _by_command(at: Rig, exercise: Exercise) -> Exercise:
@@ -126,6 +149,7 @@ def commanding(at: Rig, exercise: Exercise, operation: str, inputs: Mapping[str,
 
 
 def _narrowed(at: Rig, exercise: Exercise) -> Exercise:
+    tells = exercise.tells
     return replace(
         exercise,
         read=_one(exercise.read, lambda asked: allowed(at, asked)),
@@ -133,7 +157,7 @@ def _narrowed(at: Rig, exercise: Exercise) -> Exercise:
         contended=exercise.contended and _one(exercise.contended, lambda one: _all_allowed(at, one)),
         every_read=exercise.every_read and _each(at, exercise.every_read),
         every_write=exercise.every_write and _each(at, exercise.every_write),
-        tells=exercise.tells and _each(at, exercise.tells),
+        tells=tells and _each(at, lambda rng: tuple(_taken(at, asked) for asked in tells(rng))),
         commanded=exercise.commanded and _each(at, exercise.commanded),
         large=exercise.large and _chosen(at, exercise.large, lambda asked: asked),
         floats={kind: read for kind, read in exercise.floats.items() if allowed(at, read(1.5))},

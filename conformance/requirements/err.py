@@ -337,7 +337,9 @@ def _since(entries: Iterable[Any], reply: Reply) -> list[Any]:
     return [entry for entry in entries if entry["t_ns"] >= reply.exchange.sent_ns]
 
 
-@TASKS.every_protocol("ERR-007", "What is invalid is invalid, whether or not the device is there.", writes=True)
+@TASKS.every_protocol(
+    "ERR-007", "What is invalid is invalid, whether or not the device is there.", writes=True, status=True
+)
 async def validation_comes_first(run: Repetition, at: Rig) -> None:
     """Write without any argument; the same while the device is down.
 

@@ -343,7 +343,7 @@ async def unknown_arguments_are_refused(run: Repetition, at: Rig) -> None:
     await (it_answers if writing is None else a_write_works)(run, at)
 
 
-@TASKS.every_protocol("MCP-005", "What is to be written is not made into another JSON type.", writes=True)
+@TASKS.every_protocol("MCP-005", "What is to be written is not made into another JSON type.", writes=True, status=True)
 @in_each_era
 async def types_are_not_changed(run: Repetition, at: Rig) -> None:
     """Write with values of every JSON type that an argument of the tool does not have: true for a number, a text of digits, "nan",

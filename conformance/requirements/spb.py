@@ -6,13 +6,15 @@ That every session of an edge node keeps the rules of births, deaths and sequenc
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import base64
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt import oracle
+from pytest_otmcp.protocols.mqtt.commands import REBIRTH, SCAN_RATE, commands
 from pytest_otmcp.protocols.mqtt.entries import adapter_packets, as_mqtt, describe, payload_of
 from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_payload
 from pytest_otmcp.trial.check import Checks
@@ -31,8 +33,13 @@ TASKS = Checks()
 _DEVICES = "mqtt.device_birth mqtt.device_data"
 _REFUSALS = ("invalid_input", "illegal_address", "illegal_value", "type_mismatch", "range_overflow", "not_born")
 _UNSUPPORTED = (*_REFUSALS, "unsupported_operation")
-_REBIRTH = {"name": "Node Control/Rebirth", "datatype": "Boolean", "value": True}
+_REBIRTH = {"name": REBIRTH, "datatype": "Boolean", "value": True}
 _LOST_CONNECTION = 0x8B
+_NOTICED_S, _LET_IN_S = 1.0, 2.0
+"""Seconds in which an adapter that connects again by itself does so, when it has lost its connection and when the broker lets it in again."""
+
+_LOOKS, _LOOK_S = 20, 0.05
+"""How often an adapter without an exchange to wait for is asked until it has heard what was published, and the pause between."""
 
 _TYPES: tuple[tuple[str, Any, Any], ...] = (
     ("Int8", 1, -5),
@@ -193,14 +200,20 @@ def _told(
     reply: Reply, told: object, metrics: Sequence[Mapping[str, Any]], requirement: str = "SPB-001"
 ) -> list[Finding]:
     """Expect that an answer lists these metrics with their values."""
+    if (problem := _not_told(told, metrics)) is None:
+        return []
+    message = f"{reply.label}: {problem}"
+    return [Finding(code="wrong_value", message=message, requirement=requirement, evidence=repr(told)[:400])]
+
+
+def _not_told(told: object, metrics: Sequence[Mapping[str, Any]]) -> str | None:
     listed = {one.get("name"): one for one in told if isinstance(one, dict)} if isinstance(told, list) else {}
     for metric in metrics:
         said = listed.get(metric["name"])
         problem = "it is not there" if said is None else _value_problem(said.get("value"), metric["value"])
         if problem is not None:
-            message = f"{reply.label}: {metric['name']} should be {metric['value']!r}, {problem}"
-            return [Finding(code="wrong_value", message=message, requirement=requirement, evidence=repr(told)[:400])]
-    return []
+            return f"{metric['name']} should be {metric['value']!r}, {problem}"
+    return None
 
 
 def _value_problem(said: object, value: object) -> str | None:
@@ -217,8 +230,8 @@ def _value_problem(said: object, value: object) -> str | None:
 
 @TASKS.check("SPB-002", "Topics of an edge node keep to their levels.", needs=_DEVICES)
 async def topics_keep_to_their_levels(run: Repetition, mqtt: Rig) -> None:
-    """Announce devices, report them dead and command them under names that are several levels, wildcards or nothing; then perform
-    every operation that publishes as an edge node under a proper name.
+    """Announce devices and report them dead under names that are several levels, wildcards or nothing; then perform every operation
+    that publishes as an edge node under a proper name.
 
     Said: a failure with `invalid_input` and the outcome `not_sent`; then success.
     Seen: no message for the first; for each of the others one on its topic, with QoS 0 and not retained
@@ -231,8 +244,6 @@ async def topics_keep_to_their_levels(run: Repetition, mqtt: Rig) -> None:
             ("device_birth", {"device": name, "metrics": _temperature()}),
             ("device_data", {"device": name, "metrics": _data(1.0)}),
             ("device_death", {"device": name}),
-            ("send_node_command", {"node": name, "metrics": [_REBIRTH]}),
-            ("send_device_command", {"node": _NODE, "device": name, "metrics": _temperature()}),
         ]
         for operation, inputs in asked:
             if mqtt.claims(operation):
@@ -253,7 +264,8 @@ async def _refused(run: Repetition, mqtt: Rig, reply: Reply, requirement: str, *
     run.fails(reply, *codes, outcome="not_sent", requirement=requirement)
     # An edge node may repeat the births of what lives whenever it likes.
     births = ("DBIRTH",) if reply.operation == "device_birth" else ()
-    found = sparkplug(reply.during(await mqtt.journal()), *births, "DDATA", "DDEATH", "NCMD", "DCMD")
+    during = reply.during(await mqtt.journal())
+    found = [*sparkplug(during, *births, "DDATA", "DDEATH"), *_commanding(during)]
     mine = [packet for packet, _ in found if _names(reply, packet["topic"])]
     if mine and reply.success is False:
         message = f"{reply.label}: it was refused, the broker saw {describe(mine[0])}"
@@ -520,7 +532,9 @@ async def a_rebirth_is_carried_out(run: Repetition, mqtt: Rig) -> None:
 
 def _reborn(node: tuple[str, str], devices: Sequence[str], entries: Entries) -> str | None:
     """Return what is missing of a rebirth; None where it is complete."""
-    mine = [one for one in sparkplug(entries) if (one[1]["group"], one[1]["edge_node"]) == node]
+    # A host application of the same adapter may command the node as well.
+    told = sparkplug(entries, "NBIRTH", "DBIRTH", "NDATA", "DDATA", "NDEATH", "DDEATH")
+    mine = [one for one in told if (one[1]["group"], one[1]["edge_node"]) == node]
     births = [index for index, (_, message) in enumerate(mine) if message["type"] == "NBIRTH"]
     if any(message["type"] == "NDEATH" for _, message in mine):
         return "it sent an NDEATH"
@@ -575,26 +589,48 @@ async def data_have_declared_metrics(run: Repetition, mqtt: Rig) -> None:
 @TASKS.check(
     "SPB-010",
     "A command reaches the node or device that it names, and none passes the guard.",
-    needs="mqtt.send_device_command",
+    needs="mqtt.command",
     guards="mqtt",
 )
 async def a_command_reaches_its_target(run: Repetition, mqtt: Rig, mqtt_ro: Rig | None) -> None:
-    """Command a device of the plant's edge node, and the node itself to be born again; where the adapter lists the nodes it has heard
-    of, command a metric that the device does not have, and one with another type. Command the device through the adapter that was
-    started with writes disabled.
+    """Command a device of the plant's edge node, and the node itself to be born again; where the adapter tells what it has heard
+    of nodes, command a metric that the device does not have, and one with another type. Command groups, nodes and devices whose names are
+    several levels, wildcards or nothing. Command once while the broker lets the adapter in no more, and once when it does again. Command
+    through the adapter that was started with writes disabled.
 
-    Said: success; failures with the outcome `not_sent`; a refusal with `writes_disabled`.
+    Said: success; failures with the outcome `not_sent`; a failure of the connection; a refusal with `writes_disabled`.
     Seen: one DCMD and one NCMD on the topic of its target, with QoS 0, not retained and without a sequence number; the device has
-        done it; nothing of the others (tck-id-payloads-dcmd-seq, tck-id-payloads-ncmd-seq,
-        tck-id-operational-behavior-data-commands-dcmd-metric-name).
+        done it; nothing of the others, and none that has failed when the adapter is let in again (tck-id-payloads-dcmd-seq,
+        tck-id-payloads-ncmd-seq, tck-id-operational-behavior-data-commands-dcmd-metric-name,
+        tck-id-topic-structure-namespace-valid-group-id).
     Why: a command is a write: it moves the machine.
     """
-    listens = mqtt.claims("sparkplug_nodes")
+    listens = mqtt.claims("sparkplug_nodes") or mqtt.claims("sparkplug_metrics")
     if listens:
-        run.succeeds(await mqtt.call("sparkplug_nodes"))
-        await mqtt.poke(edge_node={"rebirth": True})
-        await sync_point(run, mqtt, f"otmcp/{nonce(run)}")
-    setpoint = {"name": "setpoint", "datatype": "Double", "value": _a_value(run)}
+        # An adapter may begin to listen when it is first asked, and knows the births since.
+        await _heard(run, mqtt)
+    if mqtt.claims("send_device_command"):
+        await _device_obeys(run, mqtt)
+    if mqtt.claims("send_node_command"):
+        await _commands(run, mqtt, None, [_REBIRTH])
+    if listens and mqtt.claims("send_device_command"):
+        setpoint = _setpoint(run)
+        for metric in ({**setpoint, "name": "no-such-metric"}, {**setpoint, "datatype": "String", "value": "high"}):
+            target = _target(mqtt, "device-1")
+            reply = await mqtt.call("send_device_command", **target, metrics=[metric])
+            await _refused(run, mqtt, reply, "SPB-010", *_REFUSALS)
+    await _names_are_levels(run, mqtt)
+    await _is_not_made_up_for(run, mqtt)
+    if mqtt_ro is not None:
+        await _is_guarded(run, mqtt_ro)
+
+
+def _setpoint(run: Repetition) -> dict[str, Any]:
+    return {"name": "setpoint", "datatype": "Double", "value": _a_value(run)}
+
+
+async def _device_obeys(run: Repetition, mqtt: Rig) -> None:
+    setpoint = _setpoint(run)
     await _commands(run, mqtt, "device-1", [setpoint])
     await mqtt.wait_for(
         kind="PUBLISH", direction="out", topic=f"spBv1.0/{_GROUP}/DDATA/{_NODE}/device-1", timeout_s=0.2
@@ -604,25 +640,70 @@ async def a_command_reaches_its_target(run: Repetition, mqtt: Rig, mqtt_ro: Rig 
     if held != setpoint["value"]:
         text = f"edge_node/device-1/setpoint should be {setpoint['value']} after the command, it is {held}"
         run.witnessed([Finding(code="device_differs", message=text, requirement="SPB-010")])
-    if mqtt.claims("send_node_command"):
-        await _commands(run, mqtt, None, [_REBIRTH])
-    if listens:
-        for metric in ({**setpoint, "name": "no-such-metric"}, {**setpoint, "datatype": "String", "value": "high"}):
-            target = _target(mqtt, "device-1")
-            reply = await mqtt.call("send_device_command", **target, metrics=[metric])
-            await _refused(run, mqtt, reply, "SPB-010", *_REFUSALS)
-    if mqtt_ro is not None:
-        reply = await mqtt_ro.call("send_device_command", **_target(mqtt_ro, "device-1"), metrics=[setpoint])
-        run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
-        await mqtt_ro.watch(QUIET_S)
-        commands = sparkplug(await mqtt_ro.journal(), "NCMD", "DCMD")
-        if commands:
-            text = f"with writes disabled nothing should be commanded, the broker saw {describe(commands[0][0])}"
-            run.witnessed([Finding(code="wrote", message=text, requirement="WR-004")])
 
 
-def _target(mqtt: Rig, device: str | None) -> dict[str, Any]:
+async def _names_are_levels(run: Repetition, mqtt: Rig) -> None:
+    name = nonce(run)
+    for bad in (f"{name}/a", f"{name}+", "#", ""):
+        for device in (None, "device-1"):
+            operation, inputs = _command(run, mqtt, device)
+            for part in ("group", "node", "device") if mqtt.claims(operation) else ():
+                if part in inputs:
+                    reply = await mqtt.call(operation, **{**inputs, part: bad})
+                    await _refused(run, mqtt, reply, "SPB-002", *_REFUSALS)
+
+
+async def _is_not_made_up_for(run: Repetition, mqtt: Rig) -> None:
+    """Command while the broker ends every connection, and expect that nothing of it comes afterwards."""
+    if not (mqtt.claims("recovery") and mqtt.reconnects):
+        return
+    operation, inputs = _command(run, mqtt, "device-1" if mqtt.claims("send_device_command") else None)
+    await mqtt.prove()
+    connects = len(adapter_packets(await mqtt.journal(), "CONNECT", "in"))
+    await mqtt.fault({"packet": "CONNECT", "action": {"reset": True}})
+    await _cut(mqtt)
+    # An adapter that connects again has noticed; others connect when they are called.
+    await mqtt.wait_for(kind="CONNECT", direction="in", count=connects + 1, timeout_s=_NOTICED_S)
+    failed = await mqtt.call(operation, **inputs)
+    run.fails(failed, *CONNECTION_FAULTS, *_REFUSALS, outcome=("not_sent", "unknown"), requirement="SPB-010")
+    await mqtt.fault()
+    again = partial(mqtt.wait_for, kind="SUBACK", direction="out", timeout_s=_LET_IN_S)
+    await again(count=1 + len(adapter_packets(await mqtt.journal(), "SUBACK", "out")))
+    await mqtt.watch(QUIET_S)
+    if mqtt.claims("sparkplug_nodes") or mqtt.claims("sparkplug_metrics"):
+        await _heard(run, mqtt)
+    operation, further = _command(run, mqtt, inputs.get("device"))
+    await until_it_works(run, mqtt, operation, **further)
+    if failed.success is False:
+        run.witnessed(oracle.never_commanded(since(failed, await mqtt.journal()), inputs))
+
+
+def _command(run: Repetition, mqtt: Rig, device: str | None) -> tuple[str, dict[str, Any]]:
+    """Return the operation that commands the plant's node, or this device of it, and its inputs with a random value."""
+    scan_rate = {"name": SCAN_RATE, "datatype": "Int64", "value": run.rng.randrange(1_000, 2**40)}
+    metric = scan_rate if device is None else _setpoint(run)
     operation = "send_node_command" if device is None else "send_device_command"
+    return operation, {**_target(mqtt, device), "metrics": [metric]}
+
+
+async def _is_guarded(run: Repetition, guarded: Rig) -> None:
+    operation, inputs = _command(run, guarded, "device-1" if guarded.claims("send_device_command") else None)
+    reply = await guarded.call(operation, **inputs)
+    run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
+    await guarded.watch(QUIET_S)
+    commanded = [packet for packet, _ in _commanding(await guarded.journal())]
+    if commanded:
+        text = f"with writes disabled nothing should be commanded, the broker saw {describe(commanded[0])}"
+        run.witnessed([Finding(code="wrote", message=text, requirement="WR-004")])
+
+
+def _commanding(entries: Entries) -> Messages:
+    """Return the commands of the adapter, without the births that a host asks for by itself."""
+    return [one for one in sparkplug(entries, "NCMD", "DCMD") if commands(one[0], {})]
+
+
+def _target(mqtt: Rig, device: str | None, operation: str = "") -> dict[str, Any]:
+    operation = operation or ("send_node_command" if device is None else "send_device_command")
     group = {"group": _GROUP} if mqtt.accepts_input(operation, "group") else {}
     return {"node": _NODE, **group, **({} if device is None else {"device": device})}
 
@@ -643,13 +724,11 @@ async def _commands(run: Repetition, mqtt: Rig, device: str | None, metrics: lis
 # -- SPB-011 ------------------------------------------------------------------------------------------------
 
 
-@TASKS.check(
-    "SPB-011", "What is known of other nodes is told with what has become of them.", needs="mqtt.sparkplug_nodes"
-)
+@TASKS.check("SPB-011", "What is known of other nodes is told with what has become of them.", needs="mqtt.heard")
 async def other_nodes_are_told_as_they_are(run: Repetition, mqtt: Rig) -> None:
-    """List the edge nodes while the plant's node is born, with aliases; when it has reported new values by alias alone; when one
-    of its devices has died; when the node has died; when it is born again and the death of its earlier life comes once more; and
-    when a sequence number is missing.
+    """List the edge nodes, or the metrics of a device, while the plant's node is born, with aliases; when it has reported new values by alias
+    alone; when one of its devices has died; when the node has died; when it is born again and the death of its earlier life comes once
+    more; and when a sequence number is missing.
 
     Said: names and values of all metrics, a negative number and one of 64 bits among them; the device, then the node and its
         devices, as not alive; alive again, whatever an older death says; the gap.
@@ -657,7 +736,9 @@ async def other_nodes_are_told_as_they_are(run: Repetition, mqtt: Rig) -> None:
         and its like).
     Why: the last value of a node that is dead looks like a measurement.
     """
-    run.succeeds(await mqtt.call("sparkplug_nodes"))
+    lists = mqtt.claims("sparkplug_nodes")
+    if lists:
+        run.succeeds(await mqtt.call("sparkplug_nodes"))
     special = (
         ("low", "Int32", -5),
         ("large", "UInt64", 2**63),
@@ -684,29 +765,71 @@ async def other_nodes_are_told_as_they_are(run: Repetition, mqtt: Rig) -> None:
         death = {"topic": f"spBv1.0/{_GROUP}/NDEATH/{_NODE}", "payload": as_mqtt(deaths[-1])["payload"]}
         await mqtt.poke(publish=death)
         await _lists(run, mqtt, changed, alive=True)
-    await mqtt.poke(edge_node={"skip_seq": 3})
-    later = ("low", "Int32", -run.rng.randrange(1, 10**6))
-    await mqtt.poke(edge_node={"metrics": [_plant_metric(*later)]})
-    reply, node = await _listed(run, mqtt)
-    if node is not None and node.get("gap") is not True and node.get("status") == "online":
-        message = f"{reply.label}: numbers of the sequence are missing, the node is told to be online without a gap"
-        run.judge(reply, [Finding(code="wrong_value", message=message, requirement="SPB-011")])
+    if lists:
+        await _tells_a_gap(run, mqtt)
     await mqtt.poke(edge_node={"aliases": False})
 
 
-async def _listed(run: Repetition, mqtt: Rig) -> tuple[Reply, Mapping[str, Any] | None]:
-    """List the nodes, and return what is told of the plant's."""
-    await sync_point(run, mqtt, f"otmcp/{nonce(run)}")
-    reply = await mqtt.call("sparkplug_nodes")
-    if not run.succeeds(reply):
-        return reply, None
-    nodes = reply.outputs.get("nodes")
-    for node in nodes if isinstance(nodes, list) else ():
-        if isinstance(node, dict) and (node.get("group"), node.get("node")) == (_GROUP, _NODE):
-            return reply, node
-    message = f"{reply.label}: {_GROUP}/{_NODE} was born and is not listed"
-    run.judge(reply, [Finding(code="wrong_value", message=message, requirement="SPB-011", evidence=repr(nodes)[:400])])
-    return reply, None
+async def _tells_a_gap(run: Repetition, mqtt: Rig) -> None:
+    await mqtt.poke(edge_node={"skip_seq": 3})
+    later = ("low", "Int32", -run.rng.randrange(1, 10**6))
+    await mqtt.poke(edge_node={"metrics": [_plant_metric(*later)]})
+    reply, node = await _told_of_node(run, mqtt, _gap_is_told)
+    _is_known(run, reply, node)
+    if node is not None and not _gap_is_told(node):
+        message = f"{reply.label}: numbers of the sequence are missing, the node is told to be online without a gap"
+        run.judge(reply, [Finding(code="wrong_value", message=message, requirement="SPB-011")])
+
+
+def _gap_is_told(node: Mapping[str, Any]) -> bool:
+    return node.get("gap") is True or node.get("status") != "online"
+
+
+_Right = Callable[[Mapping[str, Any]], bool]
+
+
+async def _told_of_node(
+    run: Repetition, mqtt: Rig, right: _Right, device: str = "device-1"
+) -> tuple[Reply, Mapping[str, Any] | None]:
+    """Ask what is known of the plant's node; an adapter without an exchange to wait for is asked until it is right, or for a second."""
+    exchanges = mqtt.claims("subscribe")
+    if exchanges:
+        await sync_point(run, mqtt, f"otmcp/{nonce(run)}")
+    for look in range(1 if exchanges else _LOOKS):
+        if look:
+            await mqtt.watch(_LOOK_S)
+        if mqtt.claims("sparkplug_nodes"):
+            reply = await mqtt.call("sparkplug_nodes")
+            nodes = reply.outputs.get("nodes")
+            plants = (one for one in nodes if _is_plants(one)) if isinstance(nodes, list) else iter(())
+            node = next(plants, None)
+        else:
+            reply = await mqtt.call("sparkplug_metrics", **_target(mqtt, device, "sparkplug_metrics"))
+            node = _node_of(reply, device)
+        if node is not None and right(node):
+            break
+    return reply, node
+
+
+def _is_plants(node: object) -> bool:
+    return isinstance(node, Mapping) and (node.get("group"), node.get("node")) == (_GROUP, _NODE)
+
+
+def _node_of(reply: Reply, device: str) -> Mapping[str, Any] | None:
+    """Return what the metrics of a device tell of its node, as a list of nodes does."""
+    if not reply.success:
+        return None
+    online = reply.outputs.get("online", True)
+    one = {"device": device, "online": online, "metrics": reply.outputs.get("metrics")}
+    return {"status": "online" if online else "offline", "devices": [one]}
+
+
+def _is_known(run: Repetition, reply: Reply, node: Mapping[str, Any] | None) -> None:
+    """Expect that something was told of the plant's node, which was born."""
+    if run.succeeds(reply) and node is None:
+        message = f"{reply.label}: {_GROUP}/{_NODE} was born and is not listed"
+        evidence = repr(dict(reply.outputs))[:400]
+        run.judge(reply, [Finding(code="wrong_value", message=message, requirement="SPB-011", evidence=evidence)])
 
 
 async def _lists(
@@ -719,22 +842,57 @@ async def _lists(
     node_alive: bool | None = None,
 ) -> None:
     """Expect that a device of the plant's node is listed so, with these metrics."""
-    reply, node = await _listed(run, mqtt)
+    expected = {"node": alive if node_alive is None else node_alive, device: alive}
+    wanted = [{"name": name, "value": value} for name, _, value in metrics]
+    if not mqtt.claims("sparkplug_nodes"):
+        # Of a device that is dead nothing need be known any more, and of its node nothing is told.
+        if not alive and not mqtt.claims("sparkplug_metrics.online"):
+            return
+        expected = {device: alive}
+    reply, node = await _told_of_node(
+        run, mqtt, lambda node: not _wrong(node, expected) and _not_told(_listed(node, device), wanted) is None, device
+    )
+    if not (alive or mqtt.claims("sparkplug_nodes")) and reply.success is False:
+        run.fails(reply, *_REFUSALS, requirement="SPB-011", code_requirement="ERR-001")
+        return
+    _is_known(run, reply, node)
     if node is None:
         return
-    told = {"node": node.get("status") == "online", **dict(_devices(node))}
-    expected = {"node": alive if node_alive is None else node_alive, device: alive}
-    wrong = [name for name, wanted in expected.items() if told.get(name, False) is not wanted]
-    if wrong:
+    evidence = repr(node)[:400]
+    if wrong := _wrong(node, expected):
         message = (
             f"{reply.label}: {wrong[0]} should be {'alive' if expected[wrong[0]] else 'dead'}, it is told otherwise"
         )
-        run.judge(
-            reply, [Finding(code="wrong_value", message=message, requirement="SPB-011", evidence=repr(node)[:400])]
-        )
-    listed = next((one.get("metrics") for one in node.get("devices") or () if one.get("device") == device), None)
-    wanted = [{"name": name, "value": value} for name, _, value in metrics]
-    run.judge(reply, _told(reply, listed, wanted, "SPB-011"))
+        run.judge(reply, [Finding(code="wrong_value", message=message, requirement="SPB-011", evidence=evidence)])
+    run.judge(reply, _told(reply, _listed(node, device), wanted, "SPB-011"))
+    if mqtt.claims("sparkplug_nodes") and mqtt.claims("sparkplug_metrics") and alive:
+        # What the list has shown is known.
+        told = await mqtt.call("sparkplug_metrics", **_target(mqtt, device, "sparkplug_metrics"))
+        if run.succeeds(told):
+            run.judge(told, _told(told, _listed(_node_of(told, device) or {}, device), wanted, "SPB-011"))
+
+
+def _wrong(node: Mapping[str, Any], expected: Mapping[str, bool]) -> list[str]:
+    told = {"node": node.get("status") == "online", **dict(_devices(node))}
+    return [name for name, wanted in expected.items() if told.get(name, False) is not wanted]
+
+
+def _listed(node: Mapping[str, Any], device: str) -> object:
+    """Return the metrics of a device as a list with names and values."""
+    metrics = next((one.get("metrics") for one in node.get("devices") or () if one.get("device") == device), None)
+    if not isinstance(metrics, Mapping):
+        return metrics
+    return [
+        {"name": name, "value": one.get("value") if isinstance(one, Mapping) else one} for name, one in metrics.items()
+    ]
+
+
+async def _heard(run: Repetition, mqtt: Rig) -> None:
+    """Have the plant's node born again, and wait until the adapter has heard of that."""
+    if mqtt.claims("sparkplug_nodes"):
+        run.succeeds(await mqtt.call("sparkplug_nodes"))
+    await mqtt.poke(edge_node={"rebirth": True})
+    await _told_of_node(run, mqtt, lambda node: "device-1" in dict(_devices(node)))
 
 
 def _devices(node: Mapping[str, Any]) -> Iterator[tuple[str, bool]]:
@@ -796,3 +954,54 @@ def _left_orderly(entries: Entries, device: str) -> list[Finding]:
             message = "the edge node should have published NDEATH before its DISCONNECT, it published none"
             return [oracle.broken_rule("SPB-012", message, entries, strength="SHOULD")]
     return []
+
+
+# -- SPB-013 ------------------------------------------------------------------------------------------------
+
+
+@TASKS.check("SPB-013", "A host that says that it is there says so on every connection.", needs="mqtt.host")
+async def a_host_is_born_on_every_connection(run: Repetition, mqtt: Rig) -> None:
+    """Of an adapter that publishes a STATE: end its connection, so that the broker publishes its will; then publish in its name that it is
+    not online, as a will of before that comes late.
+
+    Said: anything.
+    Seen: on the new connection, and again after the second, STATE with `online` true, QoS 1 and retained; the CONNECT has the opposite as its will,
+        with the same timestamp (tck-id-message-flow-phid-sparkplug-state-publish, tck-id-host-topic-phid-birth-payload-timestamp,
+        tck-id-message-flow-hid-sparkplug-state-message-delivered).
+    Why: edge nodes that wait for their primary host stay silent, or go to another broker, while it says that it is away.
+    """
+    if not (mqtt.claims("recovery") and mqtt.reconnects):
+        run.not_applicable("the adapter is not said to connect again by itself")
+    await _is_asked(mqtt)
+    await mqtt.watch(QUIET_S)
+    topic = (await mqtt.follow(oracle.HostState)).topic
+    if topic is None:
+        run.not_applicable("the adapter publishes no STATE")
+    known = {packet["connection"] for packet in adapter_packets(await mqtt.journal())}
+    await _cut(mqtt)
+    await mqtt.wait_for(kind="SUBACK", direction="out", timeout_s=_LET_IN_S)
+    await _is_asked(mqtt)
+
+    def born_again(entries: Entries) -> bool:
+        return any(one["connection"] not in known for one in oracle.state_births(entries, topic))
+
+    if not await until(mqtt, born_again):
+        message = f"{topic} should say again that the host is online, as it has a new connection; it does not"
+        run.witnessed([oracle.broken_rule("SPB-013", message, await mqtt.journal())])
+        return
+    births = len(oracle.state_births(await mqtt.journal(), topic))
+    death = base64.b64encode(b'{"online": false, "timestamp": 1700000000000}').decode()
+    await mqtt.poke(publish={"topic": topic, "payload": death, "qos": 1, "retain": True})
+    if not await until(mqtt, lambda entries: len(oracle.state_births(entries, topic)) > births):
+        message = f"{topic} told that the host is not online, which the host should have put right; it did not"
+        run.witnessed([oracle.broken_rule("SPB-013", message, await mqtt.journal())])
+
+
+async def _is_asked(mqtt: Rig) -> None:
+    """Have an adapter connect that does so when it is called; what it answers is the matter of other checks."""
+    if mqtt.claims("sparkplug_nodes"):
+        await mqtt.call("sparkplug_nodes")
+    elif mqtt.claims("sparkplug_metrics"):
+        await mqtt.call("sparkplug_metrics", **_target(mqtt, "device-1", "sparkplug_metrics"))
+    else:
+        await mqtt.prove()

@@ -1,7 +1,8 @@
 """A Sparkplug 3.0 edge node with two devices, beside plain topics, on a connection to any broker.
 
 ============================  ===========================================================================================
-``spBv1.0/factory/…``         births, DDATA every tick, NDEATH will; executes NCMD rebirth and DCMD of writable metrics
+``spBv1.0/factory/…``         births, DDATA every tick, NDEATH will; executes NCMD rebirth and scan rate, and DCMD of writable
+                              metrics
 ``sensors/{…}``               temperature, pressure, humidity every tick: ``{"value": 20.0, "unit": "degC"}``
 ``system/status``             retained: ``{"online": true}``
 ``control/#``                 subscribed; the last payload on each topic is kept
@@ -30,6 +31,8 @@ __all__ = ["CLIENT_ID", "EdgeNode"]
 GROUP, NODE = "factory", "edge-node-1"
 CLIENT_ID = f"otmcp-mock-{NODE}"
 
+_REBIRTH, _SCAN_RATE = "Node Control/Rebirth", "Node Control/Scan Rate"
+
 _RECONNECT_S = 0.05
 _DATATYPE_NAMES = {number: name for name, number in DATATYPES.items()}
 
@@ -42,6 +45,7 @@ class EdgeNode:
     """An edge node that connects, publishes births and data, executes commands, and connects again after a loss.
 
     Attributes:
+        scan_rate: milliseconds between two looks at the devices; kept, and followed by nobody.
         seq: number of the last message; bd_seq: that of this connection's birth and death.
         controls: last payload by topic below ``control/``, as text.
     """
@@ -49,6 +53,7 @@ class EdgeNode:
     def __init__(self, observe: Observer = _ignore) -> None:
         self._observe = observe
         self.plant = Plant()
+        self.scan_rate = Tag(datatype="Int64", value=1_000, writable=True)
         self.seq = 0
         self.bd_seq = -1
         self.controls: dict[str, str] = {}
@@ -120,6 +125,7 @@ class EdgeNode:
             TimeoutError: there is no connection to the broker.
         """
         self.plant = Plant()
+        self.scan_rate.value = 1_000
         self.controls.clear()
         self._births_have = Births()
         self._online.set()
@@ -201,6 +207,7 @@ class EdgeNode:
             "ticks": self.plant.ticks,
             "seq": self.seq,
             "bd_seq": self.bd_seq,
+            "scan_rate": self.scan_rate.value,
             "devices": {
                 device: {name: json_safe(tag.value) for name, tag in tags.items()}
                 for device, tags in self.plant.devices.items()
@@ -238,7 +245,8 @@ class EdgeNode:
         return {**metric, "alias": alias} if kind == "DBIRTH" else {**metric, "name": None, "alias": alias}
 
     def _births(self) -> None:
-        self._publish("NBIRTH", None, {"Node Control/Rebirth": Tag(datatype="Boolean", value=False)})
+        rebirth = Tag(datatype="Boolean", value=False)
+        self._publish("NBIRTH", None, {_REBIRTH: rebirth, _SCAN_RATE: self.scan_rate})
         for device, tags in self.plant.devices.items():
             self._publish("DBIRTH", device, tags)
 
@@ -251,8 +259,12 @@ class EdgeNode:
             return
         metrics = message["metrics"]
         if message["type"] == "NCMD":
-            if any(one["name"] == "Node Control/Rebirth" and one["value"] is True for one in metrics):
+            if any(one["name"] == _REBIRTH and one["value"] is True for one in metrics):
                 self._births()
+            for one in metrics:
+                if one["name"] == _SCAN_RATE and self.scan_rate.accepts(one["value"]):
+                    self.scan_rate.value = one["value"]
+                    self._publish("NDATA", None, {_SCAN_RATE: self.scan_rate})
             return
         done: dict[str, Tag] = {}
         for one in metrics:

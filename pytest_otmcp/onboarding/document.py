@@ -78,8 +78,21 @@ class Draft:
     started_s: float
     longest_s: float
     errors: Mapping[str, Sequence[str]]
+    choices: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     switches: Sequence[str] = ()
     left: list[str] = field(default_factory=list)
+
+    @property
+    def lacking(self) -> set[str]:
+        """The operations that an adapter with the keys of its protocol as they are proposed need not have."""
+        known = protocols()[self.protocol].choices
+        chosen = [(choice, self.choices[choice.key][0]) for choice in known if choice.key in self.choices]
+        return {
+            operation
+            for choice, value in chosen
+            for operation in (*choice.unclaims[value], *choice.unbound.get(value, {}))
+            if operation not in self.proposals
+        }
 
     @property
     def spared(self) -> list[str]:
@@ -136,6 +149,8 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         ]
     if draft.transport_url is not None:
         lines += ['transport = "http"', f"url = {_value(draft.transport_url)}"]
+    for key, (value, why) in draft.choices.items():
+        lines += [f"# {why}", f"{key} = {_value(value)}"]
     lines += [
         "# How are writes disabled? The variant `ro` must refuse every write, `rw` must allow them; without that there can be a",
         "# conformant run, but no certificate. For instance:",
@@ -158,8 +173,8 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     lines += _unclaimed(draft)
     # The file cannot be read without this table, even an empty one.
     lines += ["", f"# Its tools: {', '.join(draft.tools)}.", f"[adapter.{draft.protocol}.bind]"]
-    for operation in protocols()[draft.protocol].operations:
-        if operation in draft.proposals or not protocols()[draft.protocol].operations[operation].voluntary:
+    for operation, known in protocols()[draft.protocol].operations.items():
+        if operation in draft.proposals or not (known.voluntary or operation in draft.lacking):
             lines += ["", *_binding(draft, operation, form)]
     for name, effect in draft.commands.items():
         lines += ["", *_command(draft, name, effect, form)]
@@ -205,7 +220,7 @@ def _unclaimed(draft: Draft) -> list[str]:
         if draft.commands and asked.writes:
             # The named commands say how it writes.
             continue
-        if operation not in draft.proposals and not asked.voluntary and operation not in draft.spared:
+        if operation not in {*draft.proposals, *draft.spared, *draft.lacking} and not asked.voluntary:
             lines += [f"# No tool is called like one for it: {asked.meaning}.", f"{operation} = {_value(_NO_TOOL)}"]
         elif (said := _said_without_device(draft, operation)) is not None:
             lines += [f"# {asked.meaning}: {said}.", f"{operation} = {_value(_FROM_MEMORY)}"]

@@ -147,6 +147,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         started_s=started_s,
         longest_s=experimenter.longest_s,
         errors=pack.errors,
+        choices=pack.choices(proposals),
         left=[*_nothing_valid(experimenter), *left],
     )
 

@@ -264,7 +264,8 @@ def _guess(
         return None
     schema = resolved(tool, hints.choice)
     names = {**_ARGUMENTS, **pack.arguments}
-    inputs = {name: tuple(names[name].split()) for name in asked.inputs if name in names}
+    # What has a default is told where the tool has an argument for it.
+    inputs = {name: tuple(names[name].split()) for name in (*asked.inputs, *asked.defaults) if name in names}
     arguments, optional, convert = _arguments(pack, hints, inputs, schema)
     placed = placeholders(arguments)
     needed = required(schema)
@@ -285,7 +286,7 @@ def _guess(
         # A tool that waits for what it answers may be called after the other half of its work.
         score -= 3.0 * len(words & set(hints.unlikely.split()))
     # Whether a call waits speaks neither for a tool nor against it.
-    telling = set(inputs) - {asked.waits}
+    telling = {*inputs} & {*asked.inputs} - {asked.waits}
     score += 2.0 * len(placed & telling) - 2.0 * len(telling - placed - set(asked.optional))
     score -= 2.0 * len(missing) + 0.5 * len(trials)
     if not inputs:

@@ -14,6 +14,7 @@ from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
 from .experimenter import Experiment
 from .known_causes import KnownCause
+from .proposal import Proposal
 
 __all__ = ["Hints", "Pack", "load_pack", "plain"]
 
@@ -41,6 +42,10 @@ class Hints:
     trials: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
+def _none(proposals: Mapping[str, Proposal]) -> Mapping[str, tuple[str, str]]:
+    return {}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pack:
     """The knowledge about one protocol for the proposal of bindings.
@@ -58,6 +63,8 @@ class Pack:
         samples: makes reads that prove a binding, beside those of the protocol's exercise; None where these are all.
         errors: error code to patterns of the texts in which libraries report it.
         causes: known causes in this protocol's libraries why an adapter does not start.
+        choices: returns the keys of the protocol's own that the proposals show to have another value than their default, each with that
+            value, and why.
     """
 
     protocol: str
@@ -71,6 +78,7 @@ class Pack:
     samples: Callable[[random.Random], Sequence[Asked]] | None = None
     errors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     causes: tuple[KnownCause, ...] = ()
+    choices: Callable[[Mapping[str, Proposal]], Mapping[str, tuple[str, str]]] = _none
 
 
 def plain(words: str, names: str, experiment: Experiment | None = None) -> Hints:

@@ -28,6 +28,7 @@ __all__ = [
     "Limited",
     "Texts",
     "Waiting",
+    "Writing",
     "every_change",
     "number_in_json",
 ]
@@ -60,6 +61,7 @@ class Asked:
         sent: what the request that writes says beside the value, such as a control code, by the names of ``says``.
         then: what the same call asks of the device after that, in this order, where a named command has several effects.
         condition: of a fault plan, which the requests of this call meet, and those of calls for something else do not.
+        unconfirmed: the device confirms no request of this call, which may still be on its way when the call is answered.
     """
 
     operation: str
@@ -70,6 +72,7 @@ class Asked:
     sent: Mapping[str, object] = field(default_factory=dict)
     then: tuple[Asked, ...] = ()
     condition: Rule = field(default_factory=dict)
+    unconfirmed: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,6 +198,21 @@ class Waiting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Writing:
+    """A write by another operation, for adapters that do not have that of the exercise.
+
+    Attributes:
+        operation: its name.
+        write: as the exercise's own; inputs that a subject claims by binding them are left out where it does not.
+        outside: as the exercise's own.
+    """
+
+    operation: str
+    write: Callable[[random.Random], Asked]
+    outside: Mapping[str, tuple[object, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Exercise:
     """What checks for every protocol do on this one.
 
@@ -204,6 +222,7 @@ class Exercise:
         waiting: takes the place of this read where the adapter has no operation for it; None where nothing does.
         writing: name of the operation that writes.
         write: makes a call that changes one thing at the device, by one request.
+        otherwise: writes that take the place of this one where the adapter has no operation for it, the best first.
         number: the input of the write that is a number of limited range; None where there is none.
         bounded: inputs of the read and the write whose range the protocol itself limits.
         done: returns the requests among entries that ask the device for what a write asks for.
@@ -265,6 +284,7 @@ class Exercise:
     reset: tuple[Rule, ...]
     refused: tuple[Rule, ...]
     waiting: Waiting | None = None
+    otherwise: tuple[Writing, ...] = ()
     unauthorised: tuple[Rule, ...] = ()
     write_refused: tuple[Mapping[str, object], str] | None = None
     outside: Mapping[str, tuple[object, ...]] = field(default_factory=dict)

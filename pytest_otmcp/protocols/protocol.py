@@ -73,6 +73,9 @@ all that they read for."""
 READ = "read"
 """Facet that checks need: the operation that the exercise reads with, or else the call that waits which takes its place."""
 
+WRITE = "write"
+"""Facet that checks need: the operation that the exercise writes with, or else the first of those that may take its place."""
+
 
 Declared = Mapping[str, Sequence[str]]
 """The lists of its protocol that a subject file has about an adapter, by key."""
@@ -172,12 +175,15 @@ class Choice:
         default: its value where the file does not have it.
         meaning: one sentence for the author of a subject file.
         unclaims: each possible value, to the facets that an adapter with it does not claim and the reason why.
+        unbound: values, to the operations that an adapter with it may lack: those that are not bound it does not claim, and the
+            reason why.
     """
 
     key: str
     default: str
     meaning: str
     unclaims: Mapping[str, Mapping[str, str]]
+    unbound: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -415,6 +421,8 @@ class OtProtocol:
                 self.exercise.reading,
                 *([] if instead is None or instead.operation not in waiting else [instead.operation]),
             )
+        if facet == WRITE and self.exercise is not None:
+            return (self.exercise.writing, *(other.operation for other in self.exercise.otherwise))
         if facet != ANY_READ:
             return self.composites[facet].one_of if facet in self.composites else ()
         # A call that does not wait for messages returns what came before, so the device need not be there.

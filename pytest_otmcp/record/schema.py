@@ -286,7 +286,7 @@ class AdapterFacts(TypedDict):
     offered: NotRequired[list[str]]
     bounds: NotRequired[BoundsTold]
     times: NotRequired[TimesTold]
-    opened_by: NotRequired[str]
+    opened_by: NotRequired[Name]
     ready: NotRequired[ReadyTold]
     commands: NotRequired[dict[str, str]]
     probes: dict[str, Any]

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from ..protocols.protocol import COMMANDS, LAUNCHES
+from ..protocols.protocol import COMMANDS, LAUNCHES, WRITE
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts
 from .model import Adapter
@@ -100,9 +100,11 @@ class Claims:
     def _by_command(self, protocol: str, facet: str) -> str:
         """Return what takes the place of the operation that the exercise writes with, where a subject writes by named commands that are
         all of other operations: that of its first command."""
-        exercise = protocols()[protocol].exercise
+        known = protocols()[protocol]
         commands = self._adapters[protocol].commands if protocol in self._adapters else {}
-        if exercise is None or facet != exercise.writing or self._has(protocol, facet):
+        if known.exercise is None or facet not in (WRITE, known.exercise.writing):
+            return facet
+        if any(self._has(protocol, name) for name in known.alternatives(facet, ()) or (facet,)):
             return facet
         return next(iter(commands.values()), facet)
 

@@ -192,6 +192,8 @@ def _unclaimed(
         other = (name for name, operation in known if operation.writes and not operation.voluntary)
         unclaimed |= {name: "the adapter writes by named commands" for name in other if name not in operations}
     for choice in protocols()[protocol].choices:
+        unbound = choice.unbound.get(table[choice.key], {})
+        unclaimed |= {name: reason for name, reason in unbound.items() if name not in operations}
         unclaimed |= choice.unclaims[table[choice.key]]
     if table["recovery"] == "new_session":
         unclaimed[RECOVERY] = "needs a new session after an outage"

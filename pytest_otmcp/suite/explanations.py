@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from ..core.error_registry import ErrorCode, registry, wire_codes
 from ..core.finding_registry import FindingCode, finding_codes
-from ..protocols.protocol import ANY_READ, READ, READ_OR_STATUS
+from ..protocols.protocol import ANY_READ, READ, READ_OR_STATUS, WRITE
 from ..protocols.registry import protocols
 from ..trial.explanation import explanation
 from ..trial.task import Task
@@ -142,7 +142,7 @@ def _applying(task: Task) -> str:
 
 def _facet(need: str) -> str:
     key, _, facet = need.partition(".")
-    if facet in (ANY_READ, READ_OR_STATUS):
+    if facet in (ANY_READ, READ_OR_STATUS, WRITE):
         return f"one of ({', '.join(f'{key}.{name}' for name in protocols()[key].alternatives(facet, ()))})"
     exercise = protocols()[key].exercise
     if facet != READ or exercise is None or exercise.waiting is None:

@@ -13,7 +13,7 @@ from functools import wraps
 from typing import Any
 
 from ..core.matrix import REQUIREMENTS
-from ..protocols.protocol import GUARD, LAUNCHES, READ, READ_OR_STATUS
+from ..protocols.protocol import GUARD, LAUNCHES, READ, READ_OR_STATUS, WRITE
 from ..protocols.registry import protocols
 from .task import Steps, Task, Tasks
 
@@ -89,7 +89,8 @@ class Checks(Tasks):
                 launches = [*[GUARD] * guard, *[launch] * bool(launch)]
                 instead = READ if exercise.waiting is not None and not prompt else exercise.reading
                 reading = READ_OR_STATUS if status else instead
-                wanted = [*[reading] * reads, *[exercise.writing] * writes, *launches, *facets.split()]
+                writing = WRITE if exercise.otherwise else exercise.writing
+                wanted = [*[reading] * reads, *[writing] * writes, *launches, *facets.split()]
                 needs = " ".join(f"{key}.{facet}" for facet in wanted) or key
                 optional = [beside] if beside in protocol.facets else []
                 guards = " ".join(f"{key}.{facet}" for facet in optional)

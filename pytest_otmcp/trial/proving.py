@@ -121,7 +121,9 @@ async def prove(
             return way.operation, ""
         failed.append(attempt)
         strong = strong or not way.weak
-    if not failed and proof.arrival is not None and await at.arrived():
+    # A weak way shows no more than an arrival does: a status that is told from memory is as good as none.
+    remembered = not strong and all(attempt.reply.success for attempt in failed)
+    if remembered and proof.arrival is not None and await at.arrived():
         return ARRIVAL, ""
     if not failed and not unlisted:
         raise NoBindingError(_unprovable(at, arrived=preferred == ARRIVAL))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from ..core.capability import Capability
 from ..core.matrix import CROSS_PROTOCOL, SUITES, WARMED_UP
-from ..protocols.protocol import GUARD, LAUNCHES
+from ..protocols.protocol import GUARD, LAUNCHES, WRITE
 from ..protocols.registry import protocols
 from ..subject.model import READ_WRITE
 from .repetition import Repetition
@@ -77,7 +77,9 @@ class Task:
         """Names of the adapters through which the task may write; a guard that does not hold writes as well."""
         facets = [facet.partition(".") for facet in self.needs]
         writing = {
-            key for key, _, name in facets if name in (known := protocols()[key].operations) and known[name].writes
+            key
+            for key, _, name in facets
+            if name == WRITE or (name in (known := protocols()[key].operations) and known[name].writes)
         }
         return writing | {*_launched(self.needs), *_launched(self.guards)}
 

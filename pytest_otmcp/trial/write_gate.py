@@ -24,6 +24,9 @@ from .reply import Reply
 __all__ = ["EndedError", "WriteGate"]
 
 
+_LATE_S = 0.25
+
+
 class EndedError(Exception):
     """End of the repetition: something that its next steps need, such as an answer, did not come.
 
@@ -56,7 +59,12 @@ class WriteGate(ABC):
         """
         # Which of several writes at the same time have succeeded when another one begins is a matter of chance.
         if self._claimed and not self._ledger.together:
-            self._compare(await self.journal())
+            entries = await self.journal()
+            if len(state_changing(entries)) < self._claimed:
+                # What no device confirms may still be on its way when the call is answered.
+                await self.pause(_LATE_S)
+                entries = await self.journal()
+            self._compare(entries)
         cursor = self._cursor
         if cursor.proven is not None:
             return
@@ -70,6 +78,10 @@ class WriteGate(ABC):
             cursor.refused = (self._ledger.item, problem)
             self._refuse(problem)
         cursor.proven = cursor.preferred = operation
+
+    def doubt(self) -> None:
+        """Have the session proven again before the next write: with a connection an adapter may lose what it has heard of the device."""
+        self._cursor.proven = None
 
     def _refuse(self, problem: str, cause: str | None = None) -> None:
         self._ledger.refused = Finding(code="not_proven", message=f"{self.protocol}: {problem}", cause=cause)

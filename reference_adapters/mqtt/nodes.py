@@ -14,6 +14,7 @@ from ..core import AdapterError, exact_in_json
 from .connection import Message
 from .payload import DecodedMetric, Payload, decode
 from .payload import Metric as NewMetric
+from .shapes import KnownDevice
 from .topics import NAMESPACE
 
 __all__ = ["LISTENING", "NodeTracker"]
@@ -131,17 +132,14 @@ class NodeTracker:
                 "bd_seq": exact_in_json(node.bd_seq),
                 "sequence_gap": node.gap,
                 "metrics": _listed(node.own),
-                "devices": [
-                    {
-                        "device_id": device,
-                        "online": node.status == "online" and about.online,
-                        "metrics": _listed(about),
-                    }
-                    for device, about in sorted(node.devices.items())
-                ],
+                "devices": [_told(node, device) for device in sorted(node.devices)],
             }
             for (group, name), node in sorted(self._nodes.items())
         ]
+
+    def device(self, group: str, name: str, device: str) -> KnownDevice:
+        """Return a device; one that was not heard of is offline and has no metrics."""
+        return _told(self._nodes.get((group, name)) or _Node(), device)
 
     def check_command(self, group: str, name: str, device: str | None, metrics: list[NewMetric]) -> bool:
         """Compare names and types of a command with the birth (operational-behavior-data-commands-ncmd-metric-name).
@@ -165,6 +163,11 @@ class NodeTracker:
                 message = "the birth of the edge node or device declares another datatype"
                 raise AdapterError("type_mismatch", message, outcome="not_sent", field=f"/metrics/{index}/datatype")
         return True
+
+
+def _told(node: _Node, device: str) -> KnownDevice:
+    about = node.devices.get(device) or _Device()
+    return {"device_id": device, "online": node.status == "online" and about.online, "metrics": _listed(about)}
 
 
 def _bd_seq(payload: Payload) -> int | None:

@@ -117,6 +117,13 @@ class DeviceCommand(NodeCommand):
     device_id: Identifier
 
 
+class ForeignDevice(Device):
+    """A device of another edge node, by default of the adapter's own group."""
+
+    edge_node_id: Identifier
+    group_id: Identifier = LEFT_OUT
+
+
 class Base64Payload(Arguments):
     """A Sparkplug payload."""
 

@@ -23,6 +23,8 @@ from .shapes import (
     DeviceData,
     DeviceDied,
     DevicePublished,
+    ForeignDevice,
+    KnownDevice,
     KnownNodes,
     NodeBirth,
     NodeCommand,
@@ -132,18 +134,30 @@ class SparkplugTools:
     async def list_sparkplug_nodes(self, call: Call, arguments: Nothing) -> KnownNodes:
         """List the edge nodes heard of, with their devices and last values. The first call begins to listen; births come
         when nodes connect, or after an NCMD with Node Control/Rebirth = true."""
+        await self._listen(call)
+        known = self._link.nodes
+        if known.overfull:
+            call.extra["truncated"] = {"returned": len(known.listing()), "total": None}
+        nodes = _foreign(call, "/data/nodes", known.listing())
+        return {"nodes": nodes, "listening_since": self._listening_since}
+
+    @tool("sparkplug.device")
+    async def read_sparkplug_device(self, call: Call, arguments: ForeignDevice) -> KnownDevice:
+        """Return the last values of a device, as list_sparkplug_nodes does; one not heard of is offline without metrics."""
+        await self._listen(call)
+        group = self._node.group if arguments.group_id is None else arguments.group_id
+        told = self._link.nodes.device(group, arguments.edge_node_id, arguments.device_id)
+        return {**told, "metrics": _foreign(call, "/data/metrics", told["metrics"])}
+
+    async def _listen(self, call: Call) -> None:
+        """Have received what the broker had for this client before; begin to listen with the first call."""
         link = self._link
         if link.nodes.listening:
-            # All messages that the broker had for this client before its answer have then been received.
             await link.ask(call)
-        else:
-            since = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-            await link.need(call, {LISTENING: 0})
-            link.nodes.listening, self._listening_since = True, since
-        if link.nodes.overfull:
-            call.extra["truncated"] = {"returned": len(link.nodes.listing()), "total": None}
-        nodes = _foreign(call, "/data/nodes", link.nodes.listing())
-        return {"nodes": nodes, "listening_since": self._listening_since}
+            return
+        since = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        await link.need(call, {LISTENING: 0})
+        link.nodes.listening, self._listening_since = True, since
 
     @tool("sparkplug.decode")
     async def decode_sparkplug_payload(self, call: Call, arguments: Base64Payload) -> DecodedPayload:

@@ -405,6 +405,7 @@ MQTT = Case(
         "list_subscriptions": {},
         "unsubscribe_topic": {"topic": "reads/#"},
         "list_sparkplug_nodes": {},
+        "read_sparkplug_device": {"edge_node_id": "edge-node-1", "device_id": "device-1"},
         "decode_sparkplug_payload": {"payload": ""},
     },
     silent=frozenset({"read_messages", "list_subscriptions", "decode_sparkplug_payload"}),

@@ -569,6 +569,8 @@ def single(value: Any) -> Any:
 
 def test_a_host_learns_nodes_from_their_births_and_follows_their_data(host: Any, broker: Any) -> None:
     assert host.call("list_sparkplug_nodes").data["nodes"] == []
+    nobody = host.call("read_sparkplug_device", group_id="factory", edge_node_id="edge-node-1", device_id="none")
+    assert nobody.data == {"device_id": "none", "online": False, "metrics": []}
     broker("tick", steps=1)
     assert known(host, "edge-node-1")["status"] == "unknown"
     rebirth = [{"name": REBIRTH, "datatype": "Boolean", "value": True}]
@@ -585,6 +587,8 @@ def test_a_host_learns_nodes_from_their_births_and_follows_their_data(host: Any,
         level = {name: single(value) for name, value in image["devices"]["device-2"].items()}
         assert values(node["devices"]["device-2"]) == level
         assert all(one["online"] for one in node["devices"].values())
+        told = host.call("read_sparkplug_device", group_id="factory", edge_node_id="edge-node-1", device_id="device-2")
+        assert (told.data, told.meta["untrusted"]) == (node["devices"]["device-2"], ["/data/metrics"])
         broker("tick", steps=1)
     types = {one["name"]: one["datatype"] for one in node["devices"]["device-2"]["metrics"]}
     assert types == {"level": "Float", "count": "Int64", "speed": "Int32", "recipe": "String"}

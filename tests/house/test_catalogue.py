@@ -163,7 +163,7 @@ def test_there_are_as_many_rows_of_each_level_as_there_were() -> None:
     assert counted == {
         ("bronze", "MUST"): 65,
         ("bronze", "SHOULD"): 1,
-        ("silver", "MUST"): 39,
+        ("silver", "MUST"): 40,
         ("silver", "SHOULD"): 3,
         ("gold", "MUST"): 11,
         ("gold", "SHOULD"): 2,
@@ -181,7 +181,7 @@ def test_there_are_as_many_rows_of_each_level_as_there_were() -> None:
     ("protocol", "bronze", "silver"),
     [
         ("modbus", 49, 74),
-        ("mqtt", 46, 73),
+        ("mqtt", 46, 74),
         ("opcua", 48, 74),
         ("s7", 39, 60),
         ("bacnet", 39, 60),

@@ -203,7 +203,8 @@ async def test_the_edge_node_is_born_before_clients_are_let_in(plant: Plant) -> 
     assert all((one["qos"], one["retain"]) == (0, False) for one in births)
     assert births[0]["seq"] > subscribed["seq"]
     node = {one["name"]: (one["datatype"], one["value"]) for one in births[0]["sparkplug"]["metrics"]}
-    assert node == {"bdSeq": (4, 0), "Node Control/Rebirth": (11, False)}
+    controls = {"Node Control/Rebirth": (11, False), "Node Control/Scan Rate": (4, 1_000)}
+    assert node == {"bdSeq": (4, 0), **controls}
 
 
 @pytest.mark.asyncio
@@ -267,6 +268,14 @@ async def test_other_node_commands_change_nothing(plant: Plant, payload: bytes) 
     await plant.wait(since, kind="PUBACK", direction="in")
     await plant.device.tick()
     assert kinds(plant.messages(since))[0] == ("DDATA", "device-1", 3)
+
+
+@pytest.mark.asyncio
+async def test_a_scan_rate_is_kept_and_told(plant: Plant) -> None:
+    since = await plant.send(NODE.format("NCMD"), command(metric("Node Control/Scan Rate", "Int64", 250)))
+    [told] = await plant.wait(since, topic=NODE.format("NDATA"), direction="in")
+    assert [(one["name"], one["value"]) for one in told["sparkplug"]["metrics"]] == [("Node Control/Scan Rate", 250)]
+    assert plant.device.image()["edge_node"]["scan_rate"] == 250
 
 
 @pytest.mark.asyncio

@@ -262,7 +262,10 @@ ENDPOINTS = {
 }
 """How an adapter is told where its device is that is not told host and port."""
 
-PROVEN_ALTHOUGH_VOLUNTARY = {"modbus": {"read_coils", "read_discrete_inputs"}}
+PROVEN_ALTHOUGH_VOLUNTARY = {
+    "modbus": {"read_coils", "read_discrete_inputs"},
+    "mqtt": {"sparkplug_metrics", "send_node_command", "send_device_command"},
+}
 NOT_PROPOSED = {"s7": {"write_marker"}}
 """Operations that no tool of the reference adapter plainly matches: it writes a bit of a marker by a tool for any type."""
 
@@ -304,6 +307,33 @@ def test_a_call_that_waits_is_proposed_as_one(otmcp: Otmcp, tmp_path: Path, warm
     (collect,) = load_subject(tmp_path / "otmcp.toml").adapters["mqtt"].operations["messages"]
     assert collect.blocking
     assert collect.fill({"filter": "a/#", "seconds": 3}, {}) == {"topic": "a/#", "timeout": 3}
+
+
+def test_a_sparkplug_host_is_noticed_and_its_commands_are_proven(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
+) -> None:
+    endpoint = ("--env", "BROKER_HOST={host}", "--env", "BROKER_PORT={port}")
+    done = otmcp("init", "--protocol", "mqtt", *endpoint, "--", *warm_start.python, str(FOREIGN), "mqtt-host")
+    assert done.returncode == 0, done.stderr
+    assert "send_device_command send_device_command (proven: the device saw the command)" in done.stdout
+    assert 'sparkplug = "host"' in (tmp_path / "otmcp.toml").read_text(encoding="utf-8")
+    host = load_subject(tmp_path / "otmcp.toml").adapters["mqtt"]
+    assert {*host.operations} == {"info", "sparkplug_metrics", "send_node_command", "send_device_command"}
+    assert {"publish", "subscribe", "messages", "device_birth"} <= {*host.unclaimed}
+    (metrics,) = host.operations["sparkplug_metrics"]
+    assert {name: rule.path for name, rule in metrics.outputs.items()} == {"metrics": "metrics", "online": "online"}
+
+
+def test_a_host_without_a_status_has_its_metrics_found_in_a_list(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
+) -> None:
+    endpoint = ("--env", "BROKER_HOST={host}", "--env", "BROKER_PORT={port}")
+    done = otmcp("init", "--protocol", "mqtt", *endpoint, "--", *warm_start.python, str(FOREIGN), "mqtt-listener")
+    assert done.returncode == 0, done.stderr
+    host = load_subject(tmp_path / "otmcp.toml").adapters["mqtt"]
+    assert {*host.operations} == {"sparkplug_metrics", "send_device_command"}
+    (metrics,) = host.operations["sparkplug_metrics"]
+    assert metrics.outputs["metrics"].path == "@"
 
 
 def test_an_old_server_is_described_beside_another_adapter(otmcp: Otmcp, tmp_path: Path) -> None:

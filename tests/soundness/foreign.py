@@ -34,6 +34,8 @@ SHAPES = {
     "opcua-items": "foreign_opcua",
     "modbus-valves": "foreign_commands",
     "mqtt-lights": "foreign_commands",
+    "mqtt-host": "foreign_sparkplug",
+    "mqtt-listener": "foreign_sparkplug",
 }
 
 

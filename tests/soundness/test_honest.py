@@ -43,6 +43,7 @@ CHECKED = [name for name in CLOSEST if name.split("/")[0] in ("mcp", "modbus", "
 
 
 NEIGHBOURS = [
+    ("mqtt/host-application", "Q1 Q4 SPB-010.mqtt SPB-013.mqtt WR-004.mqtt WR-010.mqtt"),
     ("mcp/announces-new-descriptions", "MCP-010.modbus"),
     ("mcp/fills-a-cache-and-a-pool", "RES-001.modbus"),
     ("mcp/collects-late", "RES-001.modbus"),

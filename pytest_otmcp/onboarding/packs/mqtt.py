@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import base64
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from ...protocols.journal import JournalEntry
+from ...protocols.mqtt.commands import SCAN_RATE, is_sparkplug_command
 from ...protocols.mqtt.entries import as_mqtt, payload_of
 from ...protocols.mqtt.sparkplug_decoder import parse_topic
 from ...subject.answers import extract, read_answer
@@ -24,6 +26,9 @@ __all__ = ["PACK"]
 _ENDINGS = ("UNSUBSCRIBE", "DISCONNECT", "DISCONNECTED")
 _COLLECTED, _KEPT = "otmcp/init/z", "otmcp/init/x"
 """Topics of the messages that a call waits for, and of those that are asked for later."""
+
+_LOOKS, _LOOK_S = 20, 0.05
+"""How often a tool is asked for what a node has reported, and the pause in between."""
 
 _LOSES = "it does not give all messages"
 _WAITING_S, _SUBSCRIBING_S = 2, 4.0
@@ -191,6 +196,91 @@ def _told(entry: JournalEntry) -> tuple[str, dict[str, object]] | None:
     )
 
 
+async def _known_metrics(experimenter: Experimenter, guess: Guess) -> Proposal:
+    """Try a tool that tells what is known of a device of the mock's edge node, which is born with a random value."""
+    value = _random_setpoint(experimenter)
+    setpoint = {"device": "device-1", "name": "setpoint", "datatype": "Double", "value": value, "writable": True}
+    for look in range(_LOOKS):
+        if look:
+            await asyncio.sleep(_LOOK_S)
+        # Whoever begins to listen when it is first asked hears of the next births.
+        for poke in ({"metrics": [setpoint]}, {"rebirth": True}):
+            await experimenter.device.poke(edge_node=poke)
+        shown = await experimenter.call(guess, {}, group="factory", node="edge-node-1", device="device-1")
+        place = None if shown.message is None else _metrics_in(shown.message, value)
+        if place is not None:
+            break
+    proposal = experimenter.propose(guess, shown, proven=place is not None, seen="")
+    if place is None:
+        proposal.evidence = [f"a value that the device's node has reported was not in the answer: {shown.words}"]
+        return proposal
+    proposal.returned = True
+    proposal.form, proposal.outputs["metrics"] = place
+    proposal.evidence = ["a value that the device's node has reported is in the answer"]
+    document = read_answer(shown.message or {}, place[0])[0]
+    beside = [*str(place[1]["path"]).split(".")[:-1], "online"]
+    if extract({"online": OutputRule(path=".".join(beside))}, document)["online"] is True:
+        proposal.outputs["online"] = {"path": ".".join(beside)}
+    return proposal
+
+
+def _random_setpoint(experimenter: Experimenter) -> float:
+    return 1.0 + experimenter.random.getrandbits(40) / 2**34
+
+
+def _metrics_in(message: Mapping[str, object], setpoint: float) -> tuple[str, Mapping[str, object]] | None:
+    """Return the form of an answer, and the rule for metrics in it, by name or in a list with names; None where they are not there."""
+    for form in ("structured", "json"):
+        path = _metrics_path(read_answer(message, form)[0], setpoint)
+        if path is not None:
+            return form, {"path": ".".join(path) or "@"}
+    return None
+
+
+def _metrics_path(document: object, setpoint: float) -> tuple[str, ...] | None:
+    """Return the members that lead to metrics of which one is the setpoint with this value."""
+    if isinstance(document, list):
+        named = [one.get("value") for one in document if isinstance(one, dict) and one.get("name") == "setpoint"]
+        return () if named == [setpoint] else None
+    if not isinstance(document, dict):
+        return None
+    told = document.get("setpoint")
+    if setpoint == (told.get("value") if isinstance(told, dict) else told):
+        return ()
+    below = ((name, _metrics_path(member, setpoint)) for name, member in document.items() if name.isidentifier())
+    return next(((name, *path) for name, path in below if path is not None), None)
+
+
+async def _node_command(experimenter: Experimenter, guess: Guess) -> Proposal:
+    scan_rate = {"name": SCAN_RATE, "datatype": "Int64", "value": experimenter.random.randrange(1_000, 2**40)}
+    return await _command(experimenter, guess, {"metrics": [scan_rate]})
+
+
+async def _device_command(experimenter: Experimenter, guess: Guess) -> Proposal:
+    setpoint = {"name": "setpoint", "datatype": "Double", "value": _random_setpoint(experimenter)}
+    return await _command(experimenter, guess, {"device": "device-1", "metrics": [setpoint]})
+
+
+async def _command(experimenter: Experimenter, guess: Guess, inputs: dict[str, Any]) -> Proposal:
+    inputs = {"group": "factory", "node": "edge-node-1", **inputs}
+    shown = await experimenter.call(guess, {}, **inputs)
+    done = any(entry["kind"] == "PUBLISH" and is_sparkplug_command(entry, inputs) for entry in shown.entries)
+    proposal = experimenter.propose(guess, shown, proven=done, seen="the command" if done else "")
+    if done:
+        experimenter.provoke(proposal, "invalid_input", **{**inputs, "node": ""})
+    return proposal
+
+
+def _role(proposals: Mapping[str, Proposal]) -> Mapping[str, tuple[str, str]]:
+    """Return the role of an adapter that commands other edge nodes, or knows them, and publishes as none itself."""
+    if proposals.keys() & {"device_birth", "device_data"} or not proposals.keys() & _OF_HOSTS:
+        return {}
+    names = ", ".join(sorted({proposals[name].guess.tool for name in proposals.keys() & _OF_HOSTS}))
+    return {"sparkplug": ("host", f"It has tools of a Sparkplug host application, and none of an edge node: {names}.")}
+
+
+_OF_HOSTS = frozenset({"send_device_command", "send_node_command", "sparkplug_nodes", "sparkplug_metrics"})
+
 PACK = Pack(
     protocol="mqtt",
     operations={
@@ -235,9 +325,20 @@ PACK = Pack(
         "node_data": plain("node data", r"(publish|send)?_?(sparkplug_?)?(node_?data|ndata)"),
         "node_death": plain("node death", r"(publish|send)?_?(sparkplug_?)?(node_?death|ndeath)"),
         "device_death": plain("device death", r"(publish|send)?_?(sparkplug_?)?(device_?death|ddeath)"),
-        "send_node_command": plain("node command", r"(publish|send)?_?(sparkplug_?)?(node_?(command|cmd)|ncmd)"),
-        "send_device_command": plain("device command", r"(publish|send)?_?(sparkplug_?)?(device_?(command|cmd)|dcmd)"),
+        "send_node_command": plain(
+            "node command", r"(publish|send|write)?_?(sparkplug_?)?(node_?(command|cmd|metrics?)|ncmd)", _node_command
+        ),
+        "send_device_command": plain(
+            "device command",
+            r"(publish|send|write|set)?_?(sparkplug_?)?(device_?(command|cmd|metrics?)|dcmd)",
+            _device_command,
+        ),
         "sparkplug_nodes": plain("nodes", r"(list|get)_?(sparkplug|edge)_?nodes"),
+        "sparkplug_metrics": plain(
+            "device metrics",
+            r"((get|read|list)_?)?(sparkplug_?)?device_?(metrics?|values?)|read_sparkplug_device",
+            _known_metrics,
+        ),
         "decode_sparkplug": plain("decode", r"decode_?sparkplug(_?b)?(_?payload)?"),
     },
     arguments={
@@ -247,12 +348,14 @@ PACK = Pack(
         "topic": "topic topic_name",
         "payload": "payload message data content body value",
         "device": "device_id device device_name",
-        "metrics": "metrics values data",
+        "metrics": "metrics values data metric_values",
         "node": "edge_node_id edge_node node_id node",
+        "group": "group_id group sparkplug_group_id",
     },
     lists=frozenset({"metrics"}),
     names=("mqtt",),
     told=_told,
+    choices=_role,
     # A message without acknowledgement can still be on its way when the answer has come.
     late={"kind": "PUBLISH", "direction": "in"},
     errors={

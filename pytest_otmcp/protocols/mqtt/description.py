@@ -13,6 +13,7 @@ from .entries import delivered_again, describe, messages
 from .exercise import EXERCISE
 from .external import EXTERNAL
 from .filters import covers
+from .host_state import HostState
 from .operations import OPERATIONS
 from .oracle import Publications, Refused, Subscriptions, no_command
 from .proof import PROOF
@@ -22,6 +23,7 @@ from .trace import facts
 __all__ = ["PROTOCOL"]
 
 _AS_HOST = "speaks Sparkplug B as a host application, not as an edge node"
+_HOST_ALONE = "is a Sparkplug B host application, and has no tool for it"
 _NOT_AT_ALL = "does not speak Sparkplug B"
 
 PROTOCOL = OtProtocol(
@@ -31,6 +33,9 @@ PROTOCOL = OtProtocol(
     scheme="mqtt",
     operations=OPERATIONS,
     composites={
+        "command": Composite(one_of=("send_device_command", "send_node_command")),
+        "host": Composite(one_of=("sparkplug_nodes", "sparkplug_metrics", "send_device_command", "send_node_command")),
+        "heard": Composite(one_of=("sparkplug_nodes", "sparkplug_metrics")),
         "receive": Composite(facets=("subscribe", "messages"), if_waiting={"messages": ("messages",)}),
     },
     probes={"bad_qos": 5},
@@ -44,6 +49,7 @@ PROTOCOL = OtProtocol(
                 "host": {"device_birth": _AS_HOST, "device_data": _AS_HOST},
                 "none": {"device_birth": _NOT_AT_ALL, "device_data": _NOT_AT_ALL},
             },
+            unbound={"host": dict.fromkeys(("info", "subscribe", "messages", "publish"), _HOST_ALONE)},
         ),
     ),
     lists={COMMAND_TOPICS: "Topic filters, beside control/#, below which a publication commands the plant."},
@@ -74,7 +80,7 @@ PROTOCOL = OtProtocol(
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
-    session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, Births, Exchanges),
+    session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, Births, HostState, Exchanges),
     proof=PROOF,
     exercise=EXERCISE,
     always=True,

@@ -11,8 +11,9 @@ from functools import partial
 from typing import Any
 
 from ...core.strict_json import same_json
-from ..exercise import Asked, DeviceText, Exercise, Limited, Waiting
+from ..exercise import Asked, DeviceText, Exercise, Limited, Waiting, Writing
 from ..journal import Entries, JournalEntry
+from .commands import SCAN_RATE, is_sparkplug_command
 from .entries import as_mqtt, messages, payload_of
 
 __all__ = ["EXERCISE"]
@@ -39,13 +40,36 @@ def _write(rng: random.Random) -> Asked:
     return Asked(operation="publish", inputs=inputs)
 
 
+_EDGE_NODE = {"group": "factory", "node": "edge-node-1"}
+"""The mock's node. It declares what is commanded here."""
+
+
+def _device_command(rng: random.Random) -> Asked:
+    setpoint = {"name": "setpoint", "datatype": "Double", "value": 1.0 + rng.getrandbits(40) / 2**34}
+    inputs = {**_EDGE_NODE, "device": "device-1", "metrics": [setpoint]}
+    return Asked(operation="send_device_command", inputs=inputs, unconfirmed=True)
+
+
+def _node_command(rng: random.Random) -> Asked:
+    scan_rate = {"name": SCAN_RATE, "datatype": "Int64", "value": rng.randrange(1_000, 2**40)}
+    return Asked(operation="send_node_command", inputs={**_EDGE_NODE, "metrics": [scan_rate]}, unconfirmed=True)
+
+
+_NO_LEVELS = ("", "a/b", "a+", "#")
+"""What is no single level of a topic (tck-id-topic-structure-namespace-valid-edge-node-id and its like)."""
+_NO_TARGETS = {"group": _NO_LEVELS, "node": _NO_LEVELS}
+
+
 def _tells(rng: random.Random) -> tuple[Asked, ...]:
     metrics = [{"name": "temperature", "value": rng.randrange(1, 2**20) + 0.5}]
-    return (Asked(operation="device_data", inputs={"device": "device-1", "metrics": metrics}),)
+    data = Asked(operation="device_data", inputs={"device": "device-1", "metrics": metrics})
+    return (data, _device_command(rng), _node_command(rng))
 
 
 def _published(entries: Entries, asked: Asked) -> list[JournalEntry]:
     # What is delivered again, and marked so, is the same message.
+    if asked.operation != "publish":
+        return [message for message in messages(entries) if is_sparkplug_command(message, asked.inputs)]
     return [
         message
         for message in messages(entries)
@@ -183,6 +207,10 @@ EXERCISE = Exercise(
     waiting=Waiting(operation="messages", read=_collect, device_texts=_texts_waited_for),
     writing="publish",
     write=_write,
+    otherwise=(
+        Writing(operation="send_device_command", write=_device_command, outside={**_NO_TARGETS, "device": _NO_LEVELS}),
+        Writing(operation="send_node_command", write=_node_command, outside=_NO_TARGETS),
+    ),
     number=None,
     bounded=("qos",),
     done=_published,

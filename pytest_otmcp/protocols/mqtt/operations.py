@@ -119,6 +119,7 @@ OPERATIONS: Mapping[str, Operation] = {
         writes=True,
         voluntary=True,
         voluntary_inputs=("group",),
+        defaults={"group": "factory"},
         requirement="SPB-010",
     ),
     "send_device_command": Operation(
@@ -128,6 +129,7 @@ OPERATIONS: Mapping[str, Operation] = {
         writes=True,
         voluntary=True,
         voluntary_inputs=("group",),
+        defaults={"group": "factory"},
         requirement="SPB-010",
     ),
     "sparkplug_nodes": Operation(
@@ -135,6 +137,16 @@ OPERATIONS: Mapping[str, Operation] = {
         outputs=("nodes",),
         needed=("nodes",),
         voluntary=True,
+        requirement="SPB-011",
+    ),
+    "sparkplug_metrics": Operation(
+        meaning="last known metrics of a device of another Sparkplug B edge node: a list with name and value, or an object by name",
+        inputs=("node", "device"),
+        outputs=("metrics", "online"),
+        needed=("metrics",),
+        voluntary=True,
+        voluntary_inputs=("group",),
+        defaults={"group": "factory"},
         requirement="SPB-011",
     ),
     "decode_sparkplug": Operation(

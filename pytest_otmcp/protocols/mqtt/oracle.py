@@ -8,20 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any
 
 from ...core.finding import Finding
 from ..journal import Entries, JournalEntry
 from ..oracle import Witness, requests
 from ..protocol import Declared
 from ..session_oracle import SessionOracle
-from .commands import commands
+from .commands import asks_for_births, commands, is_sparkplug_command
 from .entries import FirstPackets, MqttEntry, adapter_packets, delivered_again, describe, payload_of, shown
 from .entries import messages as published
-from .sparkplug_decoder import parse_topic
+from .host_state import HostState, state_births
+from .sparkplug_decoder import NAMESPACE, parse_topic
 from .sparkplug_oracle import Births, SparkplugSequence, broken_rule, commanded_once, ddata_metric, reported
 
 __all__ = [
     "Births",
+    "HostState",
     "Publications",
     "Refused",
     "SparkplugSequence",
@@ -33,6 +36,7 @@ __all__ = [
     "ddata_metric",
     "delivered",
     "exchange",
+    "never_commanded",
     "never_published",
     "no_command",
     "not_granted",
@@ -42,6 +46,7 @@ __all__ = [
     "published_once",
     "reported",
     "session_stays_up",
+    "state_births",
     "subscription_lost",
     "unsubscribed",
 ]
@@ -162,6 +167,9 @@ class Publications(SessionOracle):
             topic = packet.get("topic")
             if topic is None:
                 self._malformed.add(packet)
+            elif topic.startswith(f"{NAMESPACE}/STATE/") or asks_for_births(packet):
+                # A host application says that it is there, and asks nodes what they are (tck-id-intro-sparkplug-host-state).
+                continue
             elif topic in self._by_topic or len(self._by_topic) < _TOPICS_KEPT or commands(packet, {}):
                 self._by_topic.setdefault(topic, FirstPackets()).add(packet)
                 if packet.get("retain"):
@@ -191,10 +199,11 @@ class Publications(SessionOracle):
 
 
 class Refused(SessionOracle):
-    """Messages whose publication the adapter has reported as failed: none of them may ever reach the broker."""
+    """Messages and Sparkplug commands that the adapter has reported as failed: none of them may ever reach the broker."""
 
     def __init__(self) -> None:
         self._payloads: set[bytes] = set()
+        self._commands: list[Mapping[str, Any]] = []
         self._faults: list[Finding] = []
 
     def never(self, payload: bytes) -> None:
@@ -206,11 +215,17 @@ class Refused(SessionOracle):
         for payload in [payload for payload in self._payloads if never_published([entry], payload)]:
             self._faults += never_published([entry], payload)
             self._payloads.discard(payload)
+        for inputs in [inputs for inputs in self._commands if never_commanded([entry], inputs)]:
+            self._faults += never_commanded([entry], inputs)
+            self._commands.remove(inputs)
 
-    def failed(self, inputs: Mapping[str, object]) -> None:
-        """Expect that the payload of a failed publication never comes."""
+    def failed(self, inputs: Mapping[str, Any]) -> None:
+        """Expect that the payload of a failed publication, or what a failed command asks for, never comes."""
         if isinstance(payload := inputs.get("payload"), str):
             self.never(payload.encode())
+        # A switch, such as that for a rebirth, has few values, and will be asked for again.
+        if "node" in inputs and any(not isinstance(metric["value"], bool) for metric in inputs["metrics"]):
+            self._commands.append(inputs)
 
     def restarted(self) -> Refused:
         """Return itself: what was refused stays refused."""
@@ -354,6 +369,26 @@ def never_published(entries: Entries, payload: bytes, *, client_id: str | None =
             code="made_up_for",
             message=f"{payload[:80]!r} was reported as failed and should never have been published, the broker received it "
             f"{len(found)} time(s)",
+            requirement="WR-010",
+            evidence=shown(entries),
+        )
+    ]
+
+
+def never_commanded(entries: Entries, inputs: Mapping[str, Any]) -> list[Finding]:
+    """Expect that no Sparkplug command that asks for this reached its target.
+
+    Args:
+        inputs: of the operation that was reported as failed.
+    """
+    found = [entry for entry in adapter_packets(entries, "PUBLISH", "in") if is_sparkplug_command(entry, inputs)]
+    if not found:
+        return []
+    return [
+        Finding(
+            code="made_up_for",
+            message=f"a command to {found[0]['topic']} was reported as failed and should never have been published, the broker "
+            f"received it {len(found)} time(s)",
             requirement="WR-010",
             evidence=shown(entries),
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import random
 from collections.abc import Mapping
+from functools import partial
 
 from ..journal import Entries, JournalEntry
 from ..proof import ENOUGH_BITS, Call, Proof, Question, Way
@@ -17,6 +18,8 @@ _TOPIC = "sensors/pressure"
 """A topic that adapters are asked for anyway."""
 
 _WAITING_S = 1
+
+_DEVICE = "device-1"
 
 
 def _nonce(rng: random.Random) -> str:
@@ -56,6 +59,26 @@ def _receive(rng: random.Random) -> Question:
     return Question(inputs={"filter": _TOPIC}, pokes=({"publish": message},), bits=bits)
 
 
+def _reported(rng: random.Random, **inputs: object) -> Question:
+    """Ask what a host knows of a metric of the mock's edge node, which is born again, so that also a host that came later hears of it."""
+    value = 1.0 + rng.getrandbits(40) / 2**34
+    metric = {"device": _DEVICE, "name": "setpoint", "datatype": "Double", "value": value, "writable": True}
+
+    def bits(outputs: Mapping[str, object], entries: Entries) -> int:
+        return 40 if _holds(outputs, value) else 0
+
+    return Question(
+        inputs=inputs, pokes=({"edge_node": {"metrics": [metric]}}, {"edge_node": {"rebirth": True}}), bits=bits
+    )
+
+
+def _holds(told: object, value: float) -> bool:
+    """Tell whether an answer has this number at any place."""
+    if isinstance(told, Mapping):
+        return any(_holds(member, value) for member in told.values())
+    return any(_holds(member, value) for member in told) if isinstance(told, list) else told == value
+
+
 def _inspected(outputs: Mapping[str, object], entries: Entries) -> int:
     return ENOUGH_BITS if adapter_packets(entries, direction="in") else 0
 
@@ -69,6 +92,8 @@ PROOF = Proof(
         Way(operation="subscribe", ask=_subscribe),
         Way(operation="messages", ask=_collect, waiting=True),
         Way(operation="messages", ask=_receive, waiting=False),
+        Way(operation="sparkplug_nodes", ask=_reported),
+        Way(operation="sparkplug_metrics", ask=partial(_reported, group="factory", node="edge-node-1", device=_DEVICE)),
         Way(operation="info", ask=lambda rng: Question(inputs={}, bits=_inspected), weak=True),
     ),
     arrival=_is_connect,

@@ -17,6 +17,8 @@ from ...core.strict_json import same_json
 from ..journal import Entries, JournalEntry
 from ..session_oracle import SessionOracle
 from ..stamp import Stamp
+from .commands import REBIRTH as _REBIRTH
+from .commands import commands
 from .entries import MqttEntry, adapter_packets, as_mqtt, payload_of, shown
 from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic, payload_times
 
@@ -32,7 +34,6 @@ __all__ = [
 ]
 
 _BD_SEQ = "bdSeq"
-_REBIRTH = "Node Control/Rebirth"
 _FLOAT, _DOUBLE, _BOOLEAN = (DATA_TYPES.index(name) for name in ("Float", "Double", "Boolean"))
 _MOST_FINDINGS = 5
 _BIRTHS_KEPT = 8
@@ -218,10 +219,12 @@ def commanded_once(
         metrics: each with ``name``, ``datatype`` and ``value``.
         aliases: the names of metrics by the aliases of the target's birth, for a command that has no names.
     """
+    # Births that a host asks for by itself are none of a call's.
+    asks_for_births = any(metric["name"] == _REBIRTH for metric in metrics)
     found = [
         (entry, message)
         for entry, message in _messages(entries, client_id)
-        if "error" in message or message["type"] in _COMMANDS
+        if "error" in message or (message["type"] in _COMMANDS and (asks_for_births or commands(entry, {})))
     ]
     problem = _command_problem(found, (group, node, device), metrics, aliases)
     if problem is None:

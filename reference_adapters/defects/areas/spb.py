@@ -17,6 +17,8 @@ from ...mqtt.connection import Message
 from ...mqtt.edge_node import EdgeNode
 from ...mqtt.link import Link
 from ...mqtt.payload import Metric
+from ...mqtt.topics import NAMESPACE
+from ..host_application import beside
 from ..mqtt import link_of
 from ..mutant import Data, Handler, Mutant, each, wrap
 from ..sparkplug import (
@@ -33,8 +35,10 @@ __all__ = ["MUTANTS"]
 
 _DATA = "publish_device_data"
 _LEVELS = Annotated[str, Field(min_length=1, pattern="^[^+#]+$")]
+_LEVEL_OR_NOTHING = Annotated[str | None, Field(pattern="^[^/+#]*$")]
 _EVERY = " ".join(f"SPB-{number:03}.mqtt" for number in (1, 2, 3, 4, 5, 6, 8, 9, 12))
 """The checks in which the adapter publishes as an edge node."""
+_EVERY_SPARKPLUG = f"{_EVERY} SPB-010 SPB-011 SPB-013"
 
 
 def encoding(change: Callable[[Metric], Metric]) -> Callable[[AdapterServer], None]:
@@ -176,6 +180,48 @@ def commands_itself(genuine: Handler) -> Handler:
 def link_name(genuine: Handler) -> str:
     name: str = genuine.__self__._link.edge_node.name
     return name
+
+
+def commands_kept(server: AdapterServer) -> None:
+    kept: list[Message] = []
+    genuine_restore = Link._restore
+
+    async def restore(link: Link, made: Any) -> None:
+        await genuine_restore(link, made)
+        while kept:
+            made.send(kept.pop(0))
+
+    def keeping(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code in ("connect_failed", "connection_lost"):
+                    group = arguments.group_id or genuine.__self__._node.group
+                    topic = f"{NAMESPACE}/{group}/DCMD/{arguments.edge_node_id}/{arguments.device_id}"
+                    metrics = sparkplug_tools._checked(arguments.metrics)
+                    kept.append(Message(topic=topic, payload=payload.encode(metrics, None)))
+                raise
+            return data
+
+        return handler
+
+    Link._restore = restore
+    each("publish_device_command", change=keeping)(server)
+
+
+def groups_left_empty(server: AdapterServer) -> None:
+    def in_its_own(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            data: Data = await genuine(call, arguments.model_copy(update={"group_id": arguments.group_id or None}))
+            return data
+
+        return handler
+
+    for name in ("publish_node_command", "publish_device_command"):
+        model = server._tools[name].model
+        members = {"__annotations__": {"group_id": _LEVEL_OR_NOTHING}, "group_id": None, "__module__": __name__}
+        wrap(server, name, in_its_own, model=type("AnyGroup", (model,), members))
 
 
 def commands_unchecked(server: AdapterServer) -> None:
@@ -349,6 +395,15 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _mutant("79u", "Commands are not compared with the birth.", commands_unchecked, "SPB-010", "SPB-010"),
     _mutant(
+        "79x",
+        "A command that has failed is sent with the next connection.",
+        commands_kept,
+        "SPB-010",
+        "WR-010",
+        quick=True,
+    ),
+    _mutant("79y", "An empty group is taken for the adapter's own.", groups_left_empty, "SPB-010", "SPB-002"),
+    _mutant(
         "127s",
         "The birth of a device declares none of its metrics.",
         birth_without_metrics,
@@ -365,5 +420,17 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant("128", "The metrics of a node that died stay good.", deaths_ignored, "SPB-011", "SPB-011"),
     _mutant("128a", "Aliases are not resolved.", aliases_unresolved, "SPB-011", "SPB-011"),
     _mutant("128b", "The death of an earlier life counts.", every_death_believed, "SPB-011", "SPB-011"),
+    _mutant(
+        "130",
+        "A host tells its STATE on its first connection alone.",
+        beside(once=True, corrects=False),
+        "SPB-013",
+        "SPB-013",
+    ),
+    _mutant("130b", "A host believes that it is away.", beside(corrects=False), "SPB-013", "SPB-013"),
+    _mutant("130r", "The STATE of a host is not retained.", beside(retained=False), _EVERY_SPARKPLUG, "SPB-013"),
+    _mutant(
+        "130t", "The STATE of a host has another time than its will.", beside(later_ms=1), _EVERY_SPARKPLUG, "SPB-013"
+    ),
     _mutant("128g", "A gap in the sequence is not told.", gaps_untold, "SPB-011", "SPB-011"),
 )

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import paho.mqtt.client as paho
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.defects.host_application import beside
 from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.mqtt import connection as connections
 from pytest_otmcp.reference_adapters.mqtt import edge_node as edge_nodes
@@ -244,6 +245,14 @@ def new_client_identifiers(server: AdapterServer) -> None:
         return await genuine()
 
     link._connect = connect
+
+
+@choice(
+    "is a Sparkplug host application over a second connection: tells its STATE, and asks nodes that it does not know for their births",
+    "tck-id-intro-sparkplug-host-state, tck-id-operational-behavior-host-reordering-rebirth",
+)
+def host_application(server: AdapterServer) -> None:
+    beside()(server)
 
 
 @choice("subscribes to # from the start", "reading changes nothing")
