@@ -49,6 +49,8 @@ class _HostApplication:
         client.loop_start()
 
     def _introduce(self, client: paho.Client, data: Any) -> None:
+        # What the last connection did not deliver has its time.
+        client._out_messages.clear()
         self._stamp = time.time_ns() // 1_000_000
         client.will_set(_STATE, json.dumps({"online": False, "timestamp": self._stamp}), qos=1, retain=True)
 

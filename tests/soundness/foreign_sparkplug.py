@@ -133,7 +133,8 @@ class Host:
     # -- the connection -----------------------------------------------------------------------------------
 
     def _before(self, client: paho.Client, data: Any) -> None:
-        # The birth has the time of the will (tck-id-host-topic-phid-birth-payload-timestamp).
+        # The birth has the time of the will (tck-id-host-topic-phid-birth-payload-timestamp): none of before may come again.
+        client._out_messages.clear()
         self._stamp = now()
         if self._state and self._lie != "no-will":
             client.will_set(STATE, self._told(online=False), qos=1, retain=True)

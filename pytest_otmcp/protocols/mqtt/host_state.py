@@ -87,7 +87,8 @@ class HostState(SessionOracle):
 
     def _birth(self, packet: MqttEntry) -> Iterator[Finding]:
         connection = self._connections.get(packet["connection"])
-        if connection is None or connection.born:
+        # What is delivered again is no birth of this connection.
+        if connection is None or connection.born or packet.get("dup"):
             # What is published again when another one has said otherwise may have a time of its own.
             return
         connection.born = True
