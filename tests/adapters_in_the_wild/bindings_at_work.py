@@ -7,13 +7,13 @@ from __future__ import annotations
 import asyncio
 import base64
 import random
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.protocols.oracle import state_changing
 from pytest_otmcp.protocols.registry import protocols
-from pytest_otmcp.subject.model import READ_WRITE, Adapter
+from pytest_otmcp.subject.model import READ_WRITE, Adapter, Binding, Function
 from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.session_proof import prove_session
@@ -267,6 +267,10 @@ CHECKS: dict[str, dict[str, Check]] = {
 }
 
 
+def _by_table(cases: Sequence[Binding]) -> bool:
+    return any(case.command is None for case in cases)
+
+
 async def wrong_bindings(adapter: Adapter, device: MockDevice) -> list[str]:
     """Perform every bound operation; return those that did something else, or whose result is somewhere else."""
     work, known = Work(adapter, device), protocols()[adapter.protocol].operations
@@ -279,7 +283,9 @@ async def wrong_bindings(adapter: Adapter, device: MockDevice) -> list[str]:
         problem = await prove_session(work.under_test)
         if problem is not None:
             return [problem]
-        wrong = [name for name, check in checks.items() if name in adapter.operations and not await check(work, name)]
-        return wrong + [name for name in adapter.operations if name not in checks]
+        # What named commands do was compared with what the device saw when they were found.
+        bound = [name for name, cases in adapter.operations.items() if isinstance(cases, Function) or _by_table(cases)]
+        wrong = [name for name, check in checks.items() if name in bound and not await check(work, name)]
+        return wrong + [name for name in bound if name not in checks]
     finally:
         await work.under_test.close()
