@@ -131,12 +131,16 @@ class Experimenter:
             fault = f"the answer is no valid MCP: {fault}"
         elif proposal.good is None:
             fault = "there was no answer"
-        elif not self._writing and tells_failure(proposal.good):
+        elif not self._writing and not self._is_status(proposal.guess.operation) and tells_failure(proposal.good):
             fault = words_of(proposal.good)
         if fault is not None:
             proposal.proven = proposal.returned = False
             proposal.outputs.clear()
             proposal.evidence = [f"{proposal.evidence[0]}, but {fault}"]
+
+    def _is_status(self, operation: str) -> bool:
+        """Tell whether an operation tells a status, which need not be a good one."""
+        return protocols()[self.adapter.adapter.protocol].operations[operation].status
 
     async def _vary(self, proposal: Proposal) -> None:
         """Read at further addresses, values of further types: what holds for one of them need not hold for all."""
