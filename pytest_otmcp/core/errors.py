@@ -7,7 +7,8 @@
     ├── KitError        ours: a mock died, the plant could not start; the verdict becomes INDETERMINATE
     │   └── ExhaustedError    the machine's: it has no descriptors, memory, processes or disk left, or another program has
     │                         taken a port of a mock; one sentence that helps
-    └── SubjectError    the adapter's: it could not start or serve; becomes a Finding, never a traceback
+    ├── SubjectError    the adapter's: it could not start or serve; becomes a Finding, never a traceback
+    └── NoBindingError  the subject file's: it does not say how to ask for something that it claims; the item is not testable
 
 A fault of the adapter found by an oracle is no exception at all but a :class:`~pytest_otmcp.core.finding.Finding`.
 """
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 from .text import marked
 
-__all__ = ["ExhaustedError", "KitError", "SubjectError", "UsageError"]
+__all__ = ["ExhaustedError", "KitError", "NoBindingError", "SubjectError", "UsageError"]
 
 
 class UsageError(Exception):
@@ -42,3 +43,7 @@ class SubjectError(Exception):
     def __init__(self, code: str, message: str) -> None:
         super().__init__(marked(message))
         self.code = code
+
+
+class NoBindingError(Exception):
+    """The subject claims something but does not say how to ask for it: the item is not testable."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
-from ..core.errors import ExhaustedError, KitError, SubjectError
+from ..core.errors import ExhaustedError, KitError, NoBindingError, SubjectError
 from ..core.matrix import REQUIREMENTS
 from ..core.verdict import Status
 from ..protocols.journal import Entries
@@ -14,7 +14,6 @@ from ..record.reader import StoredItem
 from ..record.schema import Around, Role, Sample
 from ..session.canary import Leak
 from ..subject.model import READ_WRITE
-from ..trial.adapter_under_test import NoBindingError
 from ..trial.driver import ItemHistory, SessionFacts
 from ..trial.repetition import Repetition
 from ..trial.rig import EndedError, adapter_name

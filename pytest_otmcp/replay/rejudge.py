@@ -17,14 +17,13 @@ from typing import Any
 
 from ..core.strict_json import same_json
 from ..core.verdict import Status
-from ..plant.endpoint import Endpoint
+from ..plant.endpoint import Endpoint, endpoint_values
 from ..protocols.registry import protocols
 from ..record.consistency import inapplicable_by_steps
 from ..record.reader import StoredItem, StoredRun
 from ..record.schema import SCHEMA, Header, ItemBody, ItemHead, Sample
 from ..subject.claims import Claims
 from ..suite.catalogue import all_tasks, suite_digest
-from ..trial.adapter_under_test import endpoint_values
 from ..trial.task import Task
 from ..trial.trial import Trial
 from .device import DeviceHistory

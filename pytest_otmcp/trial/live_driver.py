@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from ..core.errors import SubjectError
+from ..core.errors import NoBindingError, SubjectError
 from ..core.matrix import REQUIREMENTS
 from ..core.text import printable
 from ..core.verdict import Status
@@ -17,7 +17,6 @@ from ..protocols.protocol import Declared
 from ..record.schema import Role, SessionRemark
 from ..session.process import StopReport
 from ..subject.model import READ_ONLY, READ_WRITE
-from .adapter_under_test import NoBindingError
 from .applicability import applicability, participants
 from .bench import Bench
 from .driver import ItemHistory, SessionFacts
