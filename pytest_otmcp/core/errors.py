@@ -15,9 +15,11 @@ A fault of the adapter found by an oracle is no exception at all but a :class:`~
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from .text import marked
 
-__all__ = ["ExhaustedError", "KitError", "NoBindingError", "SubjectError", "UsageError"]
+__all__ = ["ExhaustedError", "KitError", "NoBindingError", "SubjectError", "UsageError", "place_of"]
 
 
 class UsageError(Exception):
@@ -47,3 +49,11 @@ class SubjectError(Exception):
 
 class NoBindingError(Exception):
     """The subject claims something but does not say how to ask for it: the item is not testable."""
+
+
+def place_of(error: Exception) -> str:
+    """Return the file and line at which an exception was raised."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return "an unknown place" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"

@@ -19,7 +19,7 @@ from ..trial.repetition import Repetition
 from ..trial.rig import EndedError, adapter_name
 from ..trial.task import Steps, Task, execute
 from .device import DeviceHistory
-from .reply import UNREADABLE, HistoryError
+from .reply import UNREADABLE, HistoryError, at_its_place
 from .rig import Clock, RecordedAdapter, RecordedRepetition, ReplayItemState, ReplayRig
 
 __all__ = ["ReplayDriver", "UnfinishedError"]
@@ -178,7 +178,7 @@ class ReplayDriver:
             self.objections[repetition.role, repetition.rep] = str(objection)
         except UNREADABLE as error:
             # An oracle has met data that no adapter and no device of the kit can have sent.
-            self.objections[repetition.role, repetition.rep] = f"it cannot be judged ({error!r})"
+            self.objections[repetition.role, repetition.rep] = f"it cannot be judged ({at_its_place(error)})"
         for at in repetition.all:
             if isinstance(at, ReplayRig):
                 at.leave()
