@@ -1,0 +1,128 @@
+"""The golden records by name: which adapter performs which items, and what must be found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from pytest_otmcp.reference_adapters.defects.listing import listing
+
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.soundness.defect import DEFECTS, Defect, read
+from pytest_otmcp.soundness.judging import tasks_of
+from pytest_otmcp.subject import Adapter
+from pytest_otmcp.suite.catalogue import all_tasks
+from tests.soundness.honest.zoo import ZOO
+
+__all__ = ["Recipe", "recipes"]
+
+TOGETHER = "together"
+"""Name of the record of those items that need the adapters of several protocols."""
+
+_HONEST_ADAPTER = Path(__file__).parents[1] / "soundness" / "honest" / "adapter.py"
+
+_HONEST = {
+    "mcp/no-text-block": "M1 M2 M3 M4 MCP-006.modbus",
+    "mcp/notifications": "M1 M3 FM1 MCP-001.modbus",
+    "mcp/limits-its-calls": "S4 CON-004.modbus",
+    "modbus/split-reads": "M2 FM1 RD-001.modbus RD-007.modbus",
+    "modbus/reads-back-after-writing": "M3 M4 FM2 WR-001.modbus WR-003.modbus",
+    "mqtt/retained-online": "Q1 Q3 Q4 WR-004.mqtt",
+    "mqtt/delivers-again-with-dup": "Q2 Q3 MQT-001.mqtt MQT-004.mqtt",
+    "mqtt/values-from-a-store": "Q4 SPB-003.mqtt SPB-004.mqtt",
+    "opcua/browses-before-reading": "O1 O3 FO1 OUA-006.opcua",
+    "opcua/writes-a-timestamp": "O3 OUA-005.opcua WR-001.opcua",
+    "s7/bytes-in-parts": "K2 K3 RD-001.s7 ENC-003.s7",
+    "dnp3/events-beside-a-read": "D2 D5 D7 RD-001.dnp3",
+    "bacnet/reads-with-status-flags": "B2 B3 FB1 RD-001.bacnet",
+    "ethernetip/symbol-instances": "E2 E3 FE1 ADR-003.ethernetip",
+    "profibus/inputs-by-data-exchange": "P2 P3 FP1 RD-001.profibus",
+}
+"""Honest neighbours and the items that their choice shows in."""
+
+_DEFECTS = """
+    MU-01 MU-04bac MU-06p MU-08k MU-11dnp MU-12 MU-13 MU-14p MU-14gs MU-15n MU-16 MU-17 MU-18 MU-19 MU-20ei MU-20nq MU-22bac MU-24r
+    MU-25 MU-27 MU-28k MU-29q MU-30c MU-33o MU-35dnp MU-36k MU-37p MU-40 MU-41bac MU-44 MU-46ei MU-51 MU-53q MU-54e MU-56dnp MU-59b
+    MU-62q MU-64 MU-66 MU-67a MU-74 MU-76b MU-77 MU-79s MU-80b MU-82 MU-84 MU-90ei MU-93k MU-99e MU-107d MU-108k MU-109q MU-113
+    MU-115w MU-117 MU-118 MU-123b MU-124p MU-126k
+""".split()
+"""Defects of every protocol and, together, of nearly every kind."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe:
+    """How a golden record is made.
+
+    Attributes:
+        name: of the record.
+        protocol: whose reference adapter is replaced by ``program``.
+        program: words after ``python``; None for the reference adapter as it is.
+        items: ids of the items that are performed, in the suite's order.
+        failing: those of them that must fail.
+        cited: requirements that findings must cite; None where that is not declared.
+        waits: deadlines are shortened, because the suite waits for what never comes.
+        named: the adapter has a vocabulary of its own.
+        described: what the subject file has to say of the adapter, as a change of its description.
+    """
+
+    name: str
+    protocol: str
+    program: tuple[str, ...] | None = None
+    items: tuple[str, ...]
+    failing: tuple[str, ...] = ()
+    cited: frozenset[str] | None = None
+    waits: bool = False
+    named: bool = False
+    described: Callable[[Adapter], Adapter] = lambda adapter: adapter
+
+
+@cache
+def recipes() -> dict[str, Recipe]:
+    """Return every golden record's recipe by its name."""
+    return {recipe.name: recipe for recipe in (*_references(), *_honest(), *_defects())}
+
+
+def _references() -> Iterator[Recipe]:
+    tasks = all_tasks().values()
+    for key in protocols():
+        items = tuple(task.id for task in tasks if task.protocols == (key,))
+        yield Recipe(name=f"reference-{key}", protocol=key, items=items)
+    items = tuple(task.id for task in tasks if len(task.protocols) > 1)
+    yield Recipe(name=f"reference-{TOGETHER}", protocol="modbus", items=items)
+
+
+def _honest() -> Iterator[Recipe]:
+    for name, items in _HONEST.items():
+        choice = ZOO[name]
+        yield Recipe(
+            name=f"honest-{name.replace('/', '-')}",
+            protocol=choice.protocol,
+            program=(str(_HONEST_ADAPTER), name),
+            items=tuple(items.split()),
+            described=choice.described,
+        )
+
+
+def _defects() -> Iterator[Recipe]:
+    defects = {defect.id: defect for defect in read(listing()).defects}
+    for name in _DEFECTS:
+        defect = defects[name]
+        yield Recipe(
+            name=f"defect-{name}",
+            protocol=defect.protocol,
+            program=("-P", "-m", DEFECTS, name),
+            items=defect.items or tuple(_warned(defect)),
+            failing=defect.items,
+            cited=frozenset(defect.requirements),
+            waits=defect.waits,
+            named=defect.named,
+        )
+
+
+def _warned(defect: Defect) -> Iterator[str]:
+    """Return the items of a defect that breaks no MUST: they do not fail, but warn."""
+    for task in tasks_of(defect):
+        if not set(defect.requirements).isdisjoint(task.requirements):
+            yield task.id
