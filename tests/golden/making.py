@@ -6,6 +6,7 @@ import gzip
 import json
 import os
 import re
+import shlex
 import socket
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -87,7 +88,7 @@ def _record(bench: Bench, items: Sequence[Mapping[str, Any]], recipe: Recipe, wa
     took_part = {key for item in items for key in all_tasks()[item["id"]].protocols}
     adapters = {key: facts for key, facts in bench.adapters().items() if key in took_part}
     for facts in adapters.values():
-        facts["command"] = _command(facts["command"], warm)
+        facts["command"] = shlex.split(_elsewhere(shlex.join(facts["command"]), warm))
     record = run_of(
         items,
         adapters=adapters,
@@ -106,16 +107,14 @@ def _record(bench: Bench, items: Sequence[Mapping[str, Any]], recipe: Recipe, wa
     record["subject"]["name"] = recipe.name
     record["settings"]["suites"] = list(SUITES)
     record["settings"]["narrowed"] = [f"made by {COMMAND} {recipe.name}"]
-    # As it is read from a file: an oracle must not depend on a tuple or on an integer as a key.
-    restored: dict[str, Any] = json.loads(json.dumps(record, allow_nan=False))
+    # As it is read from a file: an oracle must not depend on a tuple or on an integer as a key. A start that fails is told with its command.
+    restored: dict[str, Any] = json.loads(_elsewhere(json.dumps(record, allow_nan=False), warm))
     return restored
 
 
-def _command(command: Sequence[str], warm: WarmStart) -> list[str]:
-    """Return how the adapter is started where no other process has warmed up for it."""
-    if tuple(command[: len(warm.python)]) == warm.python:
-        command = ["{python}", *command[len(warm.python) :]]
-    return [word.removeprefix(f"{_CHECKOUT}{os.sep}") for word in command]
+def _elsewhere(text: str, warm: WarmStart) -> str:
+    """Return a text with commands as they are in another checkout, where no other process has warmed up for the adapter."""
+    return text.replace(shlex.join(warm.python), "{python}").replace(f"{_CHECKOUT}{os.sep}", "")
 
 
 def _check(record: Mapping[str, Any], recipe: Recipe) -> None:
