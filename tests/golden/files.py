@@ -11,7 +11,7 @@ COMMAND = "python -m tests.golden make"
 
 FOLDER = Path(__file__).parents[1] / "data" / "golden"
 
-MACHINE_PATH = re.compile(r"(?<![\w./:{}-])/(?:home|root|work|tmp|var|usr|opt|Users|private)/[\w.+/-]*")
+MACHINE_PATH = re.compile(r"/(?<![\w./:{}-]/)(?:home|root|work|tmp|var|usr|opt|Users|private)/[\w.+/-]*")
 """A path that tells something of the machine on which a record was made."""
 
 _ENDING = ".json.gz"
