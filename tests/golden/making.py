@@ -24,7 +24,7 @@ from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.soundness.among_genuine import AmongGenuine, sooner, with_command
 from pytest_otmcp.soundness.judging import IMPATIENT, failing, measured, noted
 from pytest_otmcp.soundness.warm_start import WarmStart
-from pytest_otmcp.subject import Subject, named_subject, reference_subject
+from pytest_otmcp.subject import Subject
 from pytest_otmcp.suite.catalogue import KIT, all_tasks, identity, kit_digest, suite_digest
 from pytest_otmcp.trial.bench import Bench
 from tests.soundness.sentences import untrue
@@ -74,7 +74,7 @@ async def _performed(plant: Plant, warm: WarmStart, recipe: Recipe) -> dict[str,
 
 
 def _subject(recipe: Recipe, warm: WarmStart) -> Subject:
-    subject = warm.subject(named_subject() if recipe.named else reference_subject())
+    subject = warm.subject(recipe.subject())
     if recipe.program is None:
         return subject
     subject = with_command(subject, recipe.protocol, (*warm.python, *recipe.program))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 from pytest_otmcp.reference_adapters.defects.listing import listing
@@ -12,8 +12,9 @@ from pytest_otmcp.reference_adapters.defects.listing import listing
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.soundness.defect import DEFECTS, Defect, read
 from pytest_otmcp.soundness.judging import tasks_of
-from pytest_otmcp.subject import Adapter
+from pytest_otmcp.subject import Adapter, Subject, named_subject, reference_subject
 from pytest_otmcp.suite.catalogue import all_tasks
+from tests.soundness.conftest import foreign_subject, lying
 from tests.soundness.honest.zoo import ZOO
 
 __all__ = ["Recipe", "recipes"]
@@ -26,6 +27,8 @@ _HONEST_ADAPTER = Path(__file__).parents[1] / "soundness" / "honest" / "adapter.
 _HONEST = {
     "mcp/no-text-block": "M1 M2 M3 M4 MCP-006.modbus",
     "mcp/notifications": "M1 M3 FM1 MCP-001.modbus",
+    "mcp/streamable-http": "M1 M3 FM1 MCP-007.modbus",
+    "texts/json-in-ascii": "M2 M3 RD-001.modbus INJ-001.modbus",
     "mcp/limits-its-calls": "S4 CON-004.modbus",
     "modbus/split-reads": "M2 FM1 RD-001.modbus RD-007.modbus",
     "modbus/reads-back-after-writing": "M3 M4 FM2 WR-001.modbus WR-003.modbus",
@@ -50,6 +53,22 @@ _DEFECTS = """
 """.split()
 """Defects of every protocol and, together, of nearly every kind."""
 
+_NAMED = "WR-001.modbus WR-003.modbus WR-004.modbus WR-014.modbus WR-003.mqtt WR-004.mqtt WR-014.mqtt"
+"""Items of the reference adapters that have a vocabulary of their own."""
+
+_FOREIGN = {
+    ("modbus-prose", ""): "M2 M3 M4 FM1 FM2",
+    ("modbus-http", ""): "M2 M3 FM1",
+    ("mqtt-handle", ""): "Q1 Q2 Q3 FQ1",
+    ("mqtt-connect", ""): "Q1 Q2 Q3 FQ1",
+    ("opcua-items", ""): "O1 O3 O4 FO1",
+    ("modbus-prose", "demo-mode"): "M2 M3 M4 FM1 FM2",
+    ("mqtt-handle", "empty-poll"): "Q2",
+    ("opcua-items", "echoes-write"): "O3",
+}
+"""Subjects of ``tests/soundness/subjects``, which answer without the kit's envelope, each with a lie or none, and items that do not fail
+or, with a lie, all fail."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
@@ -57,40 +76,42 @@ class Recipe:
 
     Attributes:
         name: of the record.
-        protocol: whose reference adapter is replaced by ``program``.
-        program: words after ``python``; None for the reference adapter as it is.
+        protocol: whose adapter is judged.
+        subject: gives the subject.
+        program: words after ``python`` that replace the program of its adapter; None for the adapter as it is.
         items: ids of the items that are performed, in the suite's order.
         failing: those of them that must fail.
         cited: requirements that findings must cite; None where that is not declared.
         waits: deadlines are shortened, because the suite waits for what never comes.
-        named: the adapter has a vocabulary of its own.
         described: what the subject file has to say of the adapter, as a change of its description.
     """
 
     name: str
     protocol: str
+    subject: Callable[[], Subject] = reference_subject
     program: tuple[str, ...] | None = None
     items: tuple[str, ...]
     failing: tuple[str, ...] = ()
     cited: frozenset[str] | None = None
     waits: bool = False
-    named: bool = False
     described: Callable[[Adapter], Adapter] = lambda adapter: adapter
 
 
 @cache
 def recipes() -> dict[str, Recipe]:
     """Return every golden record's recipe by its name."""
-    return {recipe.name: recipe for recipe in (*_references(), *_honest(), *_defects())}
+    return {recipe.name: recipe for recipe in (*_references(), *_honest(), *_foreign(), *_defects())}
 
 
 def _references() -> Iterator[Recipe]:
     tasks = all_tasks().values()
     for key in protocols():
         items = tuple(task.id for task in tasks if task.protocols == (key,))
-        yield Recipe(name=f"reference-{key}", protocol=key, items=items)
+        yield Recipe(name=f"reference-{key}", protocol=key, items=items, cited=frozenset())
     items = tuple(task.id for task in tasks if len(task.protocols) > 1)
-    yield Recipe(name=f"reference-{TOGETHER}", protocol="modbus", items=items)
+    yield Recipe(name=f"reference-{TOGETHER}", protocol="modbus", items=items, cited=frozenset())
+    named = tuple(_NAMED.split())
+    yield Recipe(name="reference-named", protocol="modbus", subject=named_subject, items=named, cited=frozenset())
 
 
 def _honest() -> Iterator[Recipe]:
@@ -101,8 +122,26 @@ def _honest() -> Iterator[Recipe]:
             protocol=choice.protocol,
             program=(str(_HONEST_ADAPTER), name),
             items=tuple(items.split()),
+            cited=frozenset(requirement for requirement, _ in choice.warnings),
             described=choice.described,
         )
+
+
+def _foreign() -> Iterator[Recipe]:
+    for (name, lie), words in _FOREIGN.items():
+        items = tuple(words.split())
+        yield Recipe(
+            name=f"foreign-{name}{lie and '-'}{lie}",
+            protocol=name.partition("-")[0],
+            subject=partial(_foreign_subject, name, lie),
+            items=items,
+            failing=items if lie else (),
+        )
+
+
+def _foreign_subject(name: str, lie: str) -> Subject:
+    subject = foreign_subject(name)
+    return lying(subject, lie) if lie else subject
 
 
 def _defects() -> Iterator[Recipe]:
@@ -117,7 +156,7 @@ def _defects() -> Iterator[Recipe]:
             failing=defect.items,
             cited=frozenset(defect.requirements),
             waits=defect.waits,
-            named=defect.named,
+            subject=named_subject if defect.named else reference_subject,
         )
 
 

@@ -160,6 +160,12 @@ def of_a_schema_without_history(path: Path) -> str:
     return "cannot be judged again, only one of otmcp-run/2"
 
 
+def of_a_run_that_was_killed(path: Path) -> str:
+    lines = gzip.decompress(path_of(DEFECT).read_bytes()).splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:-2]))
+    return "the run did not end, and its devices are not known"
+
+
 def not_there(path: Path) -> str:
     return "cannot be read (No such file or directory)"
 
@@ -179,6 +185,7 @@ def of_a_protocol_that_is_not_installed(path: Path) -> str:
         compressed_twice,
         no_record,
         of_a_schema_without_history,
+        of_a_run_that_was_killed,
         not_there,
         of_a_protocol_that_is_not_installed,
     ],
