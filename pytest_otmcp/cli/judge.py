@@ -86,6 +86,9 @@ def _check(path: Path, stored: StoredRun) -> None:
 
     if stored.version != SCHEMA:
         raise UsageError(f"{path}: a record of {stored.version} cannot be judged again, only one of {SCHEMA}")
+    if "digest" not in stored.footer:
+        # A run that was killed has not noted its devices.
+        raise UsageError(f"{path}: the run did not end, and its devices are not known")
     if missing := sorted(stored.header["subject"]["adapters"].keys() - protocols().keys()):
         raise UsageError(f"{path}: no package that is installed here judges {' and '.join(missing)}")
 
