@@ -8,6 +8,7 @@ import os
 import re
 import shlex
 import socket
+import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -77,7 +78,8 @@ def _subject(recipe: Recipe, warm: WarmStart) -> Subject:
     subject = warm.subject(recipe.subject())
     if recipe.program is None:
         return subject
-    subject = with_command(subject, recipe.protocol, (*warm.python, *recipe.program))
+    python = (sys.executable,) if recipe.cold else warm.python
+    subject = with_command(subject, recipe.protocol, (*python, *recipe.program))
     if recipe.waits:
         subject = sooner(subject, 0.5, whole_calls=True)
     adapter = recipe.described(subject.adapters[recipe.protocol])
@@ -114,7 +116,9 @@ def _record(bench: Bench, items: Sequence[Mapping[str, Any]], recipe: Recipe, wa
 
 def _elsewhere(text: str, warm: WarmStart) -> str:
     """Return a text with commands as they are in another checkout, where no other process has warmed up for the adapter."""
-    return text.replace(shlex.join(warm.python), "{python}").replace(f"{_CHECKOUT}{os.sep}", "")
+    for python in (shlex.join(warm.python), sys.executable):
+        text = text.replace(python, "{python}")
+    return text.replace(f"{_CHECKOUT}{os.sep}", "")
 
 
 def _check(record: Mapping[str, Any], recipe: Recipe) -> None:

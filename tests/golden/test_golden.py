@@ -11,10 +11,12 @@ from pytest_otmcp.replay.rejudge import differences
 
 from .files import COMMAND, MACHINE_PATH, names, path_of
 
+QUICK_BYTES = 40_000
+"""Size of a record that takes a tenth of a second; those of the reference adapters, which have all items of a protocol, take two."""
+
 
 def _marks(name: str) -> list[pytest.MarkDecorator]:
-    """Return the marks of a record: those of the reference adapters have all items of a protocol."""
-    return [pytest.mark.long] if name.startswith("reference-") else []
+    return [pytest.mark.long] if path_of(name).stat().st_size > QUICK_BYTES else []
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=_marks(name)) for name in names()])

@@ -50,7 +50,7 @@ def sample(record: Record) -> Any:
 def test_a_record_that_is_judged_as_it_says_differs_in_nothing(judged: Callable[[Change], tuple[int, str]]) -> None:
     code, told = judged(lambda record: None)
     assert code == 0
-    assert told.endswith("run.json: 8 items, nothing differs\n")
+    assert told.endswith("run.json: 4 items, nothing differs\n")
     assert len(told.splitlines()) == 1
 
 
@@ -119,7 +119,7 @@ def test_what_is_judged_otherwise_is_shown_with_its_item_and_repetition(
     assert [line.startswith(beginning) for line, beginning in zip(lines, beginnings, strict=False)] == [
         True for _ in beginnings
     ], told
-    assert last.endswith(f"run.json: 8 items, {sums}")
+    assert last.endswith(f"run.json: 4 items, {sums}")
 
 
 def test_an_oracle_that_fails_is_shown_with_its_line(
@@ -137,7 +137,7 @@ def test_an_oracle_that_fails_is_shown_with_its_line(
 def test_of_several_records_each_is_judged(capsys: pytest.CaptureFixture[str]) -> None:
     path = str(path_of(DEFECT))
     assert main(["judge", path, path]) == 0
-    assert capsys.readouterr().out.splitlines() == [f"{path}: 8 items, nothing differs"] * 2 + ["0 of 2 records differ"]
+    assert capsys.readouterr().out.splitlines() == [f"{path}: 4 items, nothing differs"] * 2 + ["0 of 2 records differ"]
 
 
 def cut_off(path: Path) -> str:
