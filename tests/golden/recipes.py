@@ -26,6 +26,8 @@ _HONEST_ADAPTER = Path(__file__).parents[1] / "soundness" / "honest" / "adapter.
 
 _HONEST = {
     "mcp/no-text-block": "M1 M2 M3 M4 MCP-006.modbus",
+    "mcp/prose-before-json": "M1 M3 MCP-006.modbus",
+    "mcp/parse-error-for-what-is-too-deep": "ADR-009.modbus",
     "mcp/notifications": "M1 M3 FM1 MCP-001.modbus",
     "mcp/streamable-http": "M1 M3 FM1 MCP-007.modbus",
     "texts/json-in-ascii": "M2 M3 RD-001.modbus INJ-001.modbus",
@@ -48,11 +50,11 @@ _HONEST = {
 _DEFECTS = """
     MU-02bac MU-02n MU-04e MU-05 MU-05w MU-06q MU-07 MU-07dnp MU-08ei MU-10p MU-11bac MU-11dnp MU-12 MU-13 MU-14bac
     MU-14dnp MU-14p MU-15a MU-15n MU-16 MU-17 MU-19 MU-20bac MU-21c MU-22bac MU-24 MU-24r MU-26c MU-27 MU-28k MU-29q
-    MU-30d MU-33o MU-33w MU-34 MU-35 MU-35pb MU-37p MU-38 MU-41 MU-42 MU-43 MU-46d MU-46e MU-46s MU-46t MU-47b MU-48 MU-50
-    MU-51 MU-52g MU-52p MU-52r MU-53e MU-53h MU-53p MU-54e MU-55e MU-58ei MU-59b MU-60 MU-60t MU-61ei MU-62q MU-63
-    MU-63dnp MU-64u MU-65b MU-66 MU-66p MU-68 MU-72 MU-74 MU-74v MU-76b MU-76d MU-77l MU-78n MU-79s MU-80 MU-81d
+    MU-30d MU-33o MU-33w MU-34 MU-35 MU-35pb MU-37p MU-38 MU-41 MU-42 MU-43 MU-46d MU-46e MU-46s MU-46t MU-47b MU-48
+    MU-50 MU-51 MU-52g MU-52p MU-52r MU-53e MU-53h MU-53p MU-54e MU-55e MU-58ei MU-59b MU-60 MU-60t MU-61ei MU-62q
+    MU-63 MU-63dnp MU-64u MU-65b MU-66 MU-66p MU-68 MU-72 MU-74 MU-74v MU-76b MU-76d MU-77l MU-78n MU-79s MU-80 MU-81d
     MU-81dnp MU-82 MU-84b MU-86 MU-87b MU-88 MU-89b MU-90ei MU-90p MU-91 MU-92k MU-99f MU-99e MU-107d MU-108e MU-108k
-    MU-109m MU-112n MU-117 MU-118 MU-123b MU-124p MU-126k
+    MU-109m MU-112n MU-117 MU-117b MU-118 MU-120b MU-122p MU-123b MU-124p MU-126k
 """.split()
 """Defects of every protocol. Together they show most requirements and codes of findings that any defect shows."""
 
@@ -130,7 +132,7 @@ def _honest() -> Iterator[Recipe]:
             protocol=choice.protocol,
             program=(str(_HONEST_ADAPTER), name),
             items=tuple(items.split()),
-            cited=frozenset(requirement for requirement, _ in choice.warnings),
+            cited=frozenset(requirement for requirement, _ in choice.warnings | choice.checked_warnings),
             described=choice.described,
         )
 
