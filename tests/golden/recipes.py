@@ -53,7 +53,7 @@ _DEFECTS = """
     MU-30d MU-33o MU-33w MU-34 MU-35 MU-35pb MU-37p MU-38 MU-41 MU-42 MU-43 MU-46d MU-46e MU-46s MU-46t MU-47b MU-48
     MU-50 MU-51 MU-52g MU-52p MU-52r MU-53e MU-53h MU-53p MU-54e MU-55e MU-58ei MU-59b MU-60 MU-60t MU-61ei MU-62q
     MU-63 MU-63dnp MU-64u MU-65b MU-66 MU-66p MU-68 MU-72 MU-74 MU-74v MU-76b MU-76d MU-77l MU-78n MU-79s MU-80 MU-81d
-    MU-81dnp MU-82 MU-84b MU-86 MU-87b MU-88 MU-89b MU-90ei MU-90p MU-91 MU-92k MU-99f MU-99e MU-107d MU-108e MU-108k
+    MU-81dnp MU-82 MU-84b MU-86 MU-87b MU-88 MU-89b MU-90ei MU-90p MU-91 MU-92k MU-99e MU-99f MU-107d MU-108e MU-108k
     MU-109m MU-112n MU-117 MU-117b MU-118 MU-120b MU-122p MU-123b MU-124p MU-126k
 """.split()
 """Defects of every protocol. Together they show most requirements and codes of findings that any defect shows."""
