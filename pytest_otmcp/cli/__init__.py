@@ -12,18 +12,17 @@ import shutil
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import NoReturn, TextIO
 
 from .. import __version__
-from ..core.errors import ExhaustedError, KitError, UsageError
+from ..core.errors import ExhaustedError, KitError, UsageError, place_of
 from ..core.exhaustion import exhausted
 from ..core.text import folded, marked, one_line
 from ..core.verdict import ExitCode
 
-__all__ = ["Refusal", "cut", "main", "place_of", "show", "tell"]
+__all__ = ["Refusal", "cut", "main", "show", "tell"]
 
-_COMMANDS = ("init", "doctor", "call", "certify", "verify", "explain", "report", "mock", "self-check", "docs")
+_COMMANDS = ("init", "doctor", "call", "certify", "verify", "judge", "explain", "report", "mock", "self-check", "docs")
 _LONGEST = 2000
 _COMPLETING = "_ARGCOMPLETE"
 """Variable by which argcomplete's part in the shell asks the program for the words that fit."""
@@ -149,11 +148,3 @@ def _parser() -> argparse.ArgumentParser:
 def _say(sentence: str, code: ExitCode) -> int:
     show(one_line(f"otmcp: {sentence}"), sys.stderr)
     return code
-
-
-def place_of(error: Exception) -> str:
-    """Return the file and line at which an exception was raised."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    return "an unknown place" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"

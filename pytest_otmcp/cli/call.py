@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.errors import SubjectError, UsageError
+from ..core.errors import NoBindingError, SubjectError, UsageError
 from ..core.names import describe_unknown
 from ..core.text import printable
 from ..protocols.journal import judged
@@ -229,7 +229,7 @@ async def _perform(
     adapter: Adapter, variant: str, operation: str, inputs: Mapping[str, object]
 ) -> tuple[Reply, list[JournalEntry]]:
     from ..plant.mock_device import MockDevice
-    from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions, NoBindingError
+    from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
     from ..trial.session_proof import prove_session
 
     known = protocols()[adapter.protocol]

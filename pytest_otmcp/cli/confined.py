@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Literal
 
-from ..core.errors import ExhaustedError, KitError, UsageError
+from ..core.errors import ExhaustedError, KitError, UsageError, place_of
 from ..core.exhaustion import exhausted
 from ..core.verdict import ExitCode
-from . import Refusal, place_of
+from . import Refusal
 
 __all__ = ["Bounds", "confined"]
 

@@ -194,7 +194,8 @@ def _check_kit(path: Path, judged_by: Kit, adapters: Iterable[str]) -> None:
     else:
         why = f"another kit: pytest-otmcp {cut(str(found[0]))}, and this is {__version__}"
     raise Refusal(
-        f"refused: {path} was judged by {why}; only that kit can judge it again, `otmcp report` shows what the record says"
+        f"refused: {path} was judged by {why}; only that kit can verify it; `otmcp report` shows what the record says, "
+        "`otmcp judge` what this kit finds otherwise"
     )
 
 

@@ -7,16 +7,19 @@
     ├── KitError        ours: a mock died, the plant could not start; the verdict becomes INDETERMINATE
     │   └── ExhaustedError    the machine's: it has no descriptors, memory, processes or disk left, or another program has
     │                         taken a port of a mock; one sentence that helps
-    └── SubjectError    the adapter's: it could not start or serve; becomes a Finding, never a traceback
+    ├── SubjectError    the adapter's: it could not start or serve; becomes a Finding, never a traceback
+    └── NoBindingError  the subject file's: it does not say how to ask for something that it claims; the item is not testable
 
 A fault of the adapter found by an oracle is no exception at all but a :class:`~pytest_otmcp.core.finding.Finding`.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from .text import marked
 
-__all__ = ["ExhaustedError", "KitError", "SubjectError", "UsageError"]
+__all__ = ["ExhaustedError", "KitError", "NoBindingError", "NoHandleError", "SubjectError", "UsageError", "place_of"]
 
 
 class UsageError(Exception):
@@ -42,3 +45,19 @@ class SubjectError(Exception):
     def __init__(self, code: str, message: str) -> None:
         super().__init__(marked(message))
         self.code = code
+
+
+class NoBindingError(Exception):
+    """The subject claims something but does not say how to ask for it: the item is not testable."""
+
+
+class NoHandleError(NoBindingError):
+    """A call takes a handle that no earlier call of the session has yielded."""
+
+
+def place_of(error: Exception) -> str:
+    """Return the file and line at which an exception was raised."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return "an unknown place" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"

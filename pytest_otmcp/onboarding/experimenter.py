@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 
+from ..core.errors import NoBindingError
 from ..core.strict_json import parse_strict
 from ..plant.mock_device import MockDevice
 from ..protocols.exercise import Asked, Exercise
@@ -17,7 +18,7 @@ from ..protocols.registry import protocols
 from ..subject.addressing import mentions_address
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding
-from ..trial.adapter_under_test import AdapterUnderTest, NoBindingError
+from ..trial.adapter_under_test import AdapterUnderTest
 from ..trial.proving import ARRIVAL
 from .evidence import Found, Sample, find, no_result, same_value, tells_failure
 from .guess import Guess

@@ -9,7 +9,7 @@ from typing import Literal
 
 from ..core.errors import ExhaustedError
 
-__all__ = ["Endpoint", "check_free", "first_port", "occupied"]
+__all__ = ["Endpoint", "check_free", "endpoint_values", "first_port", "occupied"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +34,29 @@ class Endpoint:
 def first_port(endpoints: Mapping[str, Endpoint]) -> Endpoint | None:
     """Return the first endpoint that is a TCP or UDP port; None if there is none."""
     return next((endpoint for endpoint in endpoints.values() if endpoint.kind != "pty"), None)
+
+
+def endpoint_values(scheme: str, endpoints: Mapping[str, Endpoint]) -> dict[str, str]:
+    """Return the placeholders of a subject file that stand for a device's endpoints, each with its value.
+
+    ``host``, ``port`` and ``url`` are those of its first port, ``NAME_port`` is any further port, ``serial`` is the path of its
+    first pseudo terminal, which is also the ``url`` of a device without a port.
+
+    Args:
+        scheme: of the URL.
+        endpoints: by name, the main one first.
+    """
+    main = first_port(endpoints)
+    lines = [endpoint.path for endpoint in endpoints.values() if endpoint.kind == "pty"]
+    values: dict[str, str] = {}
+    if main is not None:
+        values = {"host": main.host, "port": str(main.port), "url": f"{scheme}://{main.host}:{main.port}"}
+    elif lines:
+        values = {"url": f"{scheme}://{lines[0]}"}
+    if lines:
+        values["serial"] = lines[0]
+    further = (endpoint for endpoint in endpoints.values() if endpoint.kind != "pty" and endpoint is not main)
+    return values | {f"{endpoint.name}_port": str(endpoint.port) for endpoint in further}
 
 
 def occupied(endpoint: Endpoint) -> ExhaustedError:

@@ -8,13 +8,15 @@ of today.
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import tempfile
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import IO, BinaryIO, cast
 
 from ..core.strict_json import parse_strict
 from . import version1
@@ -27,6 +29,8 @@ __all__ = ["RecordError", "StoredItem", "StoredRun", "load", "open_record"]
 _FIRST_LINE = b'{"schema": "' + SCHEMA.encode() + b'",\n'
 _HEAD_ENDS = b'"samples": [\n'
 _BLOCK = 1 << 20
+_GZIP = b"\x1f\x8b"
+"""The first bytes of a file that gzip has compressed (RFC 1952, section 2.3.1)."""
 
 
 class RecordError(Exception):
@@ -105,13 +109,14 @@ class StoredRun:
 
 
 @contextmanager
-def open_record(path: Path, *, allow_incomplete: bool = False) -> Iterator[StoredRun]:
+def open_record(path: Path, *, allow_incomplete: bool = False, compressed: bool = False) -> Iterator[StoredRun]:
     """Open a run record; it can be read as long as the context lasts.
 
     Args:
         path: the file.
         allow_incomplete: accept a record whose footer says that it is not complete, and a record that was torn while an
             item was written: that item is left out.
+        compressed: the file may be compressed by gzip. Only for files that are trusted: a small one may hold more than any disk.
 
     Raises:
         RecordError: the file is no record, is unfinished, or contradicts itself; the message is one sentence.
@@ -119,20 +124,29 @@ def open_record(path: Path, *, allow_incomplete: bool = False) -> Iterator[Store
     with tempfile.TemporaryFile(prefix="otmcp-") as private:
         try:
             digest = hashlib.sha256()
-            with path.open("rb") as source:
+            with _opened(path, compressed=compressed) as source:
                 while block := source.read(_BLOCK):
                     digest.update(block)
                     private.write(block)
             run = _read(private, digest.hexdigest(), allow_incomplete=allow_incomplete)
             if not run.footer["complete"] and not allow_incomplete:
                 raise RecordError(f"the run is incomplete: {run.footer['reason']}")
-        except OSError as error:
-            raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
+        except (OSError, EOFError, zlib.error) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise RecordError(f"{path}: cannot be read ({reason})") from None
         except ValueError as reason:
             raise RecordError(f"{path}: not strict JSON: {reason}") from None
         except (RecordError, ShapeError, Contradiction) as reason:
             raise RecordError(f"{path}: {reason}") from None
         yield run
+
+
+def _opened(path: Path, *, compressed: bool) -> IO[bytes]:
+    if compressed:
+        with path.open("rb") as file:
+            if file.read(len(_GZIP)) == _GZIP:
+                return cast("IO[bytes]", gzip.open(path))
+    return path.open("rb")
 
 
 def load(path: Path, *, allow_incomplete: bool = False) -> Run:

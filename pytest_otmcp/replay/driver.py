@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
-from ..core.errors import ExhaustedError, KitError, SubjectError
+from ..core.errors import ExhaustedError, KitError, NoBindingError, SubjectError
 from ..core.matrix import REQUIREMENTS
 from ..core.verdict import Status
 from ..protocols.journal import Entries
@@ -14,13 +14,12 @@ from ..record.reader import StoredItem
 from ..record.schema import Around, Role, Sample
 from ..session.canary import Leak
 from ..subject.model import READ_WRITE
-from ..trial.adapter_under_test import NoBindingError
 from ..trial.driver import ItemHistory, SessionFacts
 from ..trial.repetition import Repetition
 from ..trial.rig import EndedError, adapter_name
 from ..trial.task import Steps, Task, execute
 from .device import DeviceHistory
-from .reply import UNREADABLE, HistoryError
+from .reply import UNREADABLE, HistoryError, at_its_place
 from .rig import Clock, RecordedAdapter, RecordedRepetition, ReplayItemState, ReplayRig
 
 __all__ = ["ReplayDriver", "UnfinishedError"]
@@ -179,7 +178,7 @@ class ReplayDriver:
             self.objections[repetition.role, repetition.rep] = str(objection)
         except UNREADABLE as error:
             # An oracle has met data that no adapter and no device of the kit can have sent.
-            self.objections[repetition.role, repetition.rep] = f"it cannot be judged ({error!r})"
+            self.objections[repetition.role, repetition.rep] = f"it cannot be judged ({at_its_place(error)})"
         for at in repetition.all:
             if isinstance(at, ReplayRig):
                 at.leave()

@@ -9,30 +9,28 @@ before its time are believed as well.
 from __future__ import annotations
 
 import asyncio
-import json
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from ipaddress import ip_address
 from typing import Any
 
 from ..core.strict_json import same_json
 from ..core.verdict import Status
-from ..plant.endpoint import Endpoint
+from ..plant.endpoint import Endpoint, endpoint_values
 from ..protocols.registry import protocols
 from ..record.consistency import inapplicable_by_steps
 from ..record.reader import StoredItem, StoredRun
-from ..record.schema import SCHEMA, Header, ItemBody, ItemHead, Sample
+from ..record.schema import SCHEMA, Finding, Header, ItemBody, ItemHead, Sample
 from ..subject.claims import Claims
 from ..suite.catalogue import all_tasks, suite_digest
-from ..trial.adapter_under_test import endpoint_values
 from ..trial.task import Task
 from ..trial.trial import Trial
 from .device import DeviceHistory
+from .difference import Difference, FindingDiffers, MemberDiffers, Objection, short
 from .driver import ReplayDriver, UnfinishedError
-from .reply import UNREADABLE, HistoryError, restored_bindings
+from .reply import UNREADABLE, HistoryError, at_its_place, restored_bindings
 from .rig import RecordedAdapter
 
-__all__ = ["rejudge"]
+__all__ = ["differences", "rejudge"]
 
 _OF_ITEM = ("suite", "family", "title", "capabilities", "requirements", "requirement_rows", "status", "reason")
 _OF_SAMPLE = ("ok", "duration_ms", "phases")
@@ -72,28 +70,36 @@ def rejudge(run: StoredRun) -> list[str]:
             f"the run was judged by the suite {stated} and recorded as {run.version}, this is {digest} and {SCHEMA}: "
             "judge it again with the version of the kit that made it"
         ]
-    return list(_disagreements(run))
+    return list(map(str, differences(run)))
 
 
-def _disagreements(run: StoredRun) -> Iterator[str]:
+def differences(run: StoredRun) -> Iterator[Difference]:
+    """Judge a run record again by the oracles of this kit, whichever kit has made it.
+
+    Args:
+        run: as :func:`pytest_otmcp.record.reader.open_record` gives it.
+
+    Returns:
+        Every disagreement between what this kit finds in the history and what the record says.
+    """
     tasks = all_tasks()
     try:
         judge = _Judge(run.header)
         yield from judge.devices()
     except UNREADABLE as error:
-        yield f"the run: the stored history cannot be read ({error!r})"
+        yield Objection("the run", f"the stored history cannot be read ({at_its_place(error)})")
         return
     # A device passes from item to item in the order of the run, whatever the order of the items in the record.
     for item in sorted(run.items(), key=lambda item: item.head["began_ns"]):
         name = item.head["id"]
         task = tasks.get(name)
         if task is None:
-            yield f"{name}: the suite has no such task"
+            yield Objection(name, "the suite has no such task")
             continue
         try:
             yield from judge.item(item, task)
         except UNREADABLE as error:
-            yield f"{name}: the stored history cannot be read ({error!r})"
+            yield Objection(name, f"the stored history cannot be read ({at_its_place(error)})")
 
 
 class _Judge:
@@ -111,41 +117,46 @@ class _Judge:
         self._devices = {name: DeviceHistory(name, facts) for name, facts in header["devices"].items()}
         self._ended_ns: dict[str, int] = {}
 
-    def devices(self) -> Iterator[str]:
+    def devices(self) -> Iterator[Difference]:
         """Return what cannot be true of the devices: the kit's devices, and its tap before a device of the user's, are on one machine."""
         for name, history in self._devices.items():
             facts = history.facts
             for endpoint in facts["endpoints"]:
                 if endpoint["kind"] != "pty" and not _is_loopback(endpoint["host"]):
-                    yield f"{name}: a device of the kit listens on this machine only, the record says {endpoint['host']!r}"
+                    stated = f"a device of the kit listens on this machine only, the record says {endpoint['host']!r}"
+                    yield Objection(name, stated)
             endpoints = {endpoint["name"]: Endpoint(**endpoint) for endpoint in facts["endpoints"]}
             follows = endpoint_values(protocols()[facts["protocol"]].scheme, endpoints)
             if facts["placeholders"] != follows:
-                yield f"{name}: from its endpoints follows {_short(follows)}, the record says {_short(facts['placeholders'])}"
+                stated = short(facts["placeholders"])
+                yield Objection(name, f"from its endpoints follows {short(follows)}, the record says {stated}")
 
-    def item(self, item: StoredItem, task: Task) -> Iterator[str]:
+    def item(self, item: StoredItem, task: Task) -> Iterator[Difference]:
         """Judge an item again and return the disagreements with the record."""
         head = item.head
         name = head["id"]
         demanded = self._settings["repetitions"].get(head["suite"], head["planned"])
         if head["planned"] != demanded:
-            yield f"{name}: {head['planned']} repetitions were planned, the settings demand {demanded}"
+            yield Objection(name, f"{head['planned']} repetitions were planned, the settings demand {demanded}")
         if head["began_ns"] < self._ended_ns.get(head["worker"], 0):
-            yield f"{name}: it began before the item before it had ended"
+            yield Objection(name, "it began before the item before it had ended")
         self._ended_ns[head["worker"]] = head["ended_ns"]
         yield from self._of_claims(head, task)
         yield from self._of_history(item, task)
 
-    def _of_claims(self, head: ItemHead, task: Task) -> Iterator[str]:
+    def _of_claims(self, head: ItemHead, task: Task) -> Iterator[Difference]:
         # An adapter that had no device, as in a run that was narrowed, cannot be judged.
         gaps = [facet for facet in self._claims.required(task.needs) if not self._claims.has(facet)]
         if head["status"] == Status.NOT_APPLICABLE and not gaps and not inapplicable_by_steps(head):
-            yield f"{head['id']}: the record says NOT_APPLICABLE, the subject claims {' and '.join(task.needs)}"
+            yield Objection(
+                head["id"], f"the record says NOT_APPLICABLE, the subject claims {' and '.join(task.needs)}"
+            )
         named = [facet for facet in gaps if self._claims.has_adapter(facet.partition(".")[0])]
         if head["status"] != Status.NOT_APPLICABLE and named:
-            yield f"{head['id']}: the record says {head['status']}, the subject does not claim {' and '.join(named)}"
+            reason = f"the record says {head['status']}, the subject does not claim {' and '.join(named)}"
+            yield Objection(head["id"], reason)
 
-    def _of_history(self, item: StoredItem, task: Task) -> Iterator[str]:
+    def _of_history(self, item: StoredItem, task: Task) -> Iterator[Difference]:
         head = item.head
         name = head["id"]
         driver = ReplayDriver(
@@ -157,7 +168,7 @@ class _Judge:
             time_scale=self._settings["time_scale"],
             soak=self._settings.get("soak", False),
         )
-        found: list[str] = []
+        found: list[Difference] = []
 
         def compare(sample: Sample) -> None:
             said = driver.sample
@@ -173,9 +184,9 @@ class _Judge:
             raise
         driver.leave(judged=objection is None and not driver.objections)
         for (role, rep), reason in driver.objections.items():
-            yield f"{_where(name, role, rep)}: {reason}"
+            yield Objection(_where(name, role, rep), reason)
         if objection is not None:
-            yield f"{name}: {objection}"
+            yield Objection(name, objection)
         yield from found
         if objection is None and not driver.objections:
             yield from _differing(name, shown, head, _OF_ITEM)
@@ -192,7 +203,7 @@ def _is_loopback(host: str) -> bool:
         return False
 
 
-def _of_sample(where: str, found: Sample, said: Sample) -> Iterator[str]:
+def _of_sample(where: str, found: Sample, said: Sample) -> Iterator[Difference]:
     yield from _differing(where, found, said, _OF_SAMPLE)
     yield from _of_calls(where, found["calls"], said["calls"])
     yield from _of_findings(where, found["findings"], said["findings"])
@@ -211,7 +222,7 @@ def _where(name: str, role: str, rep: int) -> str:
     return f"{name} repetition {rep + 1}" if role == "task" else f"{name} {role}"
 
 
-def _of_calls(where: str, found: Sequence[Said], said: Sequence[Said]) -> Iterator[str]:
+def _of_calls(where: str, found: Sequence[Said], said: Sequence[Said]) -> Iterator[Difference]:
     # Concurrent calls are told apart by their questions, not by the order of their replies.
     left = list(found)
     for index, call in enumerate(said, start=1):
@@ -225,26 +236,28 @@ def _same_question(one: Said, other: Said) -> bool:
     return all(same_json(one[name], other[name]) for name in ("adapter", "variant", "operation", "inputs", "sent_ns"))
 
 
-def _of_findings(where: str, found: Sequence[Said], said: Sequence[Said]) -> Iterator[str]:
-    shown = Counter(map(_of_finding, found))
-    stated = Counter(map(_of_finding, said))
-    for kind, message, *_ in shown - stated:
-        yield f"{where}: the stored history shows {message!r} ({kind}), the record says nothing of it"
-    for kind, message, *_ in stated - shown:
-        yield f"{where}: the record says {message!r} ({kind}), the stored history does not show it"
+def _of_findings(where: str, found: Sequence[Finding], said: Sequence[Finding]) -> Iterator[Difference]:
+    for finding in _without(found, said):
+        yield FindingDiffers(where, finding, is_shown=True)
+    for finding in _without(said, found):
+        yield FindingDiffers(where, finding, is_shown=False)
 
 
-def _of_finding(finding: Said) -> tuple[str, str, str | None, str | None]:
-    warning = "" if finding["strength"] == "MUST" else ", a warning"
-    return f"{finding['code']}{warning}", finding["message"], finding["requirement"], finding["cause"]
+def _without(findings: Sequence[Finding], others: Sequence[Finding]) -> Iterator[Finding]:
+    """Return the findings that the others have not, as often as there are more of them."""
+    left = [_judged(other) for other in others]
+    for finding in findings:
+        if _judged(finding) in left:
+            left.remove(_judged(finding))
+        else:
+            yield finding
 
 
-def _differing(where: str, found: Said, said: Said, names: Sequence[str]) -> Iterator[str]:
+def _judged(finding: Finding) -> tuple[str | None, ...]:
+    return tuple(finding[name] for name in ("code", "strength", "message", "requirement", "cause"))
+
+
+def _differing(where: str, found: Said, said: Said, names: Sequence[str]) -> Iterator[Difference]:
     for name in names:
         if not same_json(found[name], said[name]):
-            yield f"{where}: the stored history shows {name} {_short(found[name])}, the record says {_short(said[name])}"
-
-
-def _short(value: object) -> str:
-    text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= 200 else text[:200] + "…"
+            yield MemberDiffers(where, name, found[name], said[name])

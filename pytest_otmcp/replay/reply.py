@@ -19,6 +19,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from ..core.errors import place_of
 from ..core.finding import Finding
 from ..core.strict_json import same_json
 from ..record.redaction import REDACTED
@@ -29,7 +30,7 @@ from ..trial.alteration import Alteration
 from ..trial.reply import Expectation, Reply, observe, replace_outputs
 from ..trial.stored import KEPT_OF_A_FRAME
 
-__all__ = ["UNREADABLE", "HistoryError", "recorded_reply", "restored_bindings"]
+__all__ = ["UNREADABLE", "HistoryError", "at_its_place", "recorded_reply", "restored_bindings"]
 
 
 UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, RecursionError, re.error)
@@ -38,6 +39,11 @@ UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, RecursionError
 
 class HistoryError(Exception):
     """The stored history cannot be true; the message says why."""
+
+
+def at_its_place(error: Exception) -> str:
+    """Return an exception that a record or an oracle has raised, with the line of the kit that raised it."""
+    return f"{error!r} at {place_of(error)}"
 
 
 def restored_bindings(stored: Mapping[str, Any]) -> dict[str, list[Binding] | None]:

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import TypedDict, cast
 
 from .. import __version__
-from ..core.errors import KitError, SubjectError, UsageError
+from ..core.errors import KitError, NoBindingError, NoHandleError, SubjectError, UsageError
 from ..core.strict_json import parse_strict
 from ..core.text import recorded_name
 from ..plant.device import Device
-from ..plant.endpoint import Endpoint, first_port
+from ..plant.endpoint import endpoint_values
 from ..plant.owners import TOKEN_VARIABLE, new_token
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
@@ -54,15 +54,7 @@ from .alteration import Alteration, expanded
 from .cursor import JournalCursor
 from .reply import Expectation, Reply, kept_of, observe, replace_outputs
 
-__all__ = [
-    "MAIN",
-    "AdapterUnderTest",
-    "BenchOptions",
-    "EndedSession",
-    "NoBindingError",
-    "NoHandleError",
-    "endpoint_values",
-]
+__all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "EndedSession"]
 
 _EXIT_GRACE_S = 5.0
 """Time that an adapter has from the end of its stdin to its exit (requirement MCP-009)."""
@@ -72,38 +64,6 @@ _MEANINGLESS = "otmcp-neither-on-nor-off"
 
 _READY_PAUSE_S = 0.05
 """Time between two questions whether the adapter is ready."""
-
-
-def endpoint_values(scheme: str, endpoints: Mapping[str, Endpoint]) -> dict[str, str]:
-    """Return the placeholders of a subject file that stand for a device's endpoints, each with its value.
-
-    ``host``, ``port`` and ``url`` are those of its first port, ``NAME_port`` is any further port, ``serial`` is the path of its
-    first pseudo terminal, which is also the ``url`` of a device without a port.
-
-    Args:
-        scheme: of the URL.
-        endpoints: by name, the main one first.
-    """
-    main = first_port(endpoints)
-    lines = [endpoint.path for endpoint in endpoints.values() if endpoint.kind == "pty"]
-    values: dict[str, str] = {}
-    if main is not None:
-        values = {"host": main.host, "port": str(main.port), "url": f"{scheme}://{main.host}:{main.port}"}
-    elif lines:
-        values = {"url": f"{scheme}://{lines[0]}"}
-    if lines:
-        values["serial"] = lines[0]
-    further = (endpoint for endpoint in endpoints.values() if endpoint.kind != "pty" and endpoint is not main)
-    return values | {f"{endpoint.name}_port": str(endpoint.port) for endpoint in further}
-
-
-class NoBindingError(Exception):
-    """The subject claims something but does not say how to ask for it: the item is not testable."""
-
-
-class NoHandleError(NoBindingError):
-    """A call takes a handle that no earlier call of the session has yielded."""
-
 
 AUTO = "auto"
 """The era in which an adapter is asked what it speaks."""

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from ..core.errors import SubjectError
+from ..core.errors import NoBindingError, SubjectError
 from ..core.matrix import REQUIREMENTS
 from ..core.text import printable
 from ..core.verdict import Status
@@ -17,7 +17,6 @@ from ..protocols.protocol import Declared
 from ..record.schema import Role, SessionRemark
 from ..session.process import StopReport
 from ..subject.model import READ_ONLY, READ_WRITE
-from .adapter_under_test import NoBindingError
 from .applicability import applicability, participants
 from .bench import Bench
 from .driver import ItemHistory, SessionFacts
@@ -207,6 +206,8 @@ class LiveDriver:
         """End the sessions that the next items shall not have; the devices of other variants than that with writes enabled are this item's alone."""
         with self.spent("adapter starts"):
             for state in self._states:
+                # What the oracles of a session have found in an item that ended before it asked them is not the next item's.
+                state.under_test.cursor.take_faults()
                 if (renew and not state.under_test.cursor.hopeless) or state.under_test.variant != READ_WRITE:
                     await state.under_test.close()
 

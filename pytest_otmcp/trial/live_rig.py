@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict
 from typing import Any, cast
 
-from ..core.errors import KitError
+from ..core.errors import KitError, NoHandleError
 from ..core.finding import Finding
 from ..plant.device import Journal
 from ..plant.endpoint import check_free
@@ -23,7 +23,7 @@ from ..session.session import McpSession
 from ..subject.addressing import addressed_by
 from ..subject.claims import Claims
 from ..subject.model import Binding, Function
-from .adapter_under_test import AdapterUnderTest, NoHandleError
+from .adapter_under_test import AdapterUnderTest
 from .alteration import Alteration
 from .bench import Bench
 from .ledger import Ledger

@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from ..core.errors import NoBindingError
 from ..protocols.journal import JournalEntry
 from ..protocols.proof import ENOUGH_BITS, Question, Way
 from ..protocols.registry import protocols
-from .adapter_under_test import NoBindingError
 from .reply import Reply
 
 __all__ = ["ARRIVAL", "Provable", "prove", "why_reachable"]

@@ -7,11 +7,12 @@ import random
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..core.errors import NoBindingError
 from ..protocols.journal import JournalEntry, judged
 from ..protocols.registry import protocols
 from ..subject.addressing import addressed_by
 from ..subject.claims import Claims
-from .adapter_under_test import AdapterUnderTest, NoBindingError
+from .adapter_under_test import AdapterUnderTest
 from .proving import prove, why_reachable
 from .reply import Reply
 

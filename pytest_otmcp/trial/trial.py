@@ -11,14 +11,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal, cast
 
-from ..core.errors import ExhaustedError, KitError, SubjectError
+from ..core.errors import ExhaustedError, KitError, NoBindingError, SubjectError
 from ..core.exhaustion import exhausted
 from ..core.finding import Finding, Kind, kind_of
 from ..protocols.unsolicited import nothing_commanded
 from ..record.schema import Around, DeviceEntry, Ended, ItemBody, Role, Sample, State, ToolsChanged
 from ..session.limits import TOO_LARGE
 from ..subject.model import READ_WRITE
-from .adapter_under_test import NoBindingError
 from .driver import SessionFacts, TrialDriver
 from .every_call import EveryCall
 from .ledger import Ledger

@@ -245,7 +245,8 @@ def test_a_record_of_another_commit_is_refused_in_words_that_accuse_nobody(capsy
     assert code == 1
     assert told.err == (
         f"otmcp: refused: {SAMPLE} was judged by another kit: a pytest-otmcp {__version__} with other files than this one (of another "
-        "commit, or one of the two has been changed); only that kit can judge it again, `otmcp report` shows what the record says\n"
+        "commit, or one of the two has been changed); only that kit can verify it; `otmcp report` shows what the record says, "
+        "`otmcp judge` what this kit finds otherwise\n"
     )
 
 

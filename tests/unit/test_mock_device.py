@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.errors import KitError, SubjectError
-from pytest_otmcp.plant.endpoint import Endpoint
+from pytest_otmcp.plant.endpoint import Endpoint, endpoint_values
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.subject import load_subject
 from pytest_otmcp.subject.model import replace_template
-from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions, endpoint_values
+from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
 
 pytestmark = pytest.mark.asyncio
 

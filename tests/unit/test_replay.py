@@ -460,7 +460,7 @@ SENTENCES = {
     invent_a_digest_of_frames: f"M3 repetition 1: {WRITE} has a digest of frames, and no frames",
     change_an_image: "M3 repetition 1: the stored history shows '1/holding_registers/1 should hold 40, the device",
     touch_another_cell: "'1/holding_registers/2 should hold 0, the device holds 1' (device_differs), the record says",
-    break_an_image: "M3 repetition 1: it cannot be judged (KeyError('9/holding_registers/1'))",
+    break_an_image: "M3 repetition 1: it cannot be judged (KeyError('9/holding_registers/1') at images.py:",
     change_a_value_that_was_read: "values should be [40], the reply says [39]' (wrong_value), the record says nothing",
     change_an_output: f"M3 repetition 1, call 2 ({READ}): the stored history shows outputs",
     lose_a_member_of_the_envelope: "meta: 'endpoint' is a required property\" (envelope_schema), the record says nothing",
