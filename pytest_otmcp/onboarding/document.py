@@ -52,6 +52,7 @@ class Draft:
         commands: named commands by the names of their tools.
         connect: tool and arguments of a connect step.
         readiness: the tool that each start waits for; None where no tool spoke of connecting.
+        recovery: how it went on after an outage; None where nothing showed it.
         tools: names of all its tools.
         switches: names of variables that its tools mention and that may disable writes.
         started_s: how long its start took, with the handshake.
@@ -74,6 +75,7 @@ class Draft:
     commands: Mapping[str, Effect]
     connect: tuple[str, Mapping[str, object]] | None
     readiness: Readiness | None
+    recovery: str | None
     tools: Sequence[str]
     started_s: float
     longest_s: float
@@ -160,8 +162,13 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     if draft.connect is not None:
         tool, arguments = draft.connect
         lines += [
-            "# By its name this tool has to be called before all others; 'connect_step' if after an outage as well.",
+            "# By its name this tool has to be called before all others.",
             f"connect = {_value({'tool': tool, 'arguments': dict(arguments)})}",
+        ]
+    if draft.recovery not in (None, "same_session"):
+        lines += [
+            "# After the device had been away nothing else helped. Take the line away when it goes on in the same session.",
+            f"recovery = {_value(draft.recovery)}",
         ]
     if draft.readiness is not None:
         lines += [

@@ -16,6 +16,7 @@ from ..protocols.registry import protocols
 from ..subject.grammar import LONGEST_RECOVERY_S
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
+from .after_outage import look_after_outage
 from .commands import look_for_commands
 from .document import Draft, switches_in
 from .experimenter import Experimenter
@@ -117,6 +118,9 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
             taken = performed | ({step.tool} if step is not None else set())
             commands = await look_for_commands(experimenter, pack, tools, taken, registered(step), say)
             await look_without_device(experimenter, proposals)
+            recovery = await look_after_outage(experimenter, proposals)
+            if recovery not in (None, "same_session"):
+                say(f"  recovery        {recovery} (after the device was away nothing else helped)")
             for operation, known in protocols()[pack.protocol].operations.items():
                 if known.status:
                     say(_line(operation, proposals.get(operation), {*known.needed}))
@@ -142,6 +146,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         commands=commands,
         connect=None if step is None else (step.tool, step.arguments),
         readiness=readiness,
+        recovery=recovery,
         tools=tuple(tools),
         switches=switches_in(str(tool.get("description") or "") for tool in tools.values()),
         started_s=started_s,

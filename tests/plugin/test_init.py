@@ -181,6 +181,41 @@ def test_an_adapter_that_connects_in_the_background_is_waited_for(
     assert (ready.tool, ready.answering.outcome[0].text) == ("connection_status", "(?m)^state: connected$")
 
 
+# It opens its connection when it starts, and never again.
+ONCE = """
+import os, socket, struct
+from mcp.server import MCPServer
+
+server = MCPServer("once")
+plc = socket.create_connection((os.environ["PLC_HOST"], int(os.environ["PLC_PORT"])))
+
+
+@server.tool(structured_output=False)
+def read_holding_registers(address: int, count: int) -> str:
+    plc.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, address, count))
+    answer = plc.recv(300)
+    if not answer:
+        raise ConnectionError("the connection was lost")
+    if answer[7] & 0x80:
+        raise ValueError(f"exception code {answer[8]}")
+    return str(list(struct.unpack(f">{count}H", answer[9:])))
+
+
+server.run()
+"""
+
+
+def test_an_adapter_that_needs_a_new_session_after_an_outage_is_described_so(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
+) -> None:
+    (tmp_path / "once.py").write_text(ONCE, encoding="utf-8")
+    places = ("--env", "PLC_HOST={host}", "--env", "PLC_PORT={port}")
+    done = otmcp("init", "--protocol", "modbus", *places, "--", *warm_start.python, "once.py")
+    assert done.returncode == 0, done.stderr
+    assert "recovery        new_session (after the device was away nothing else helped)" in done.stdout
+    assert load_subject(tmp_path / "otmcp.toml").adapters["modbus"].recovery == "new_session"
+
+
 # A vocabulary of its own, and no tool that reads what the kit knows.
 LAMP = """
 import json, os

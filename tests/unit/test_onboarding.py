@@ -612,6 +612,7 @@ def drafted(**known: Any) -> Draft:
         "commands": {},
         "connect": None,
         "readiness": None,
+        "recovery": None,
         "tools": [],
         "started_s": 0.1,
         "longest_s": 0.1,
