@@ -34,6 +34,7 @@ def unasked_writes(
     """
     left = {id(call): _asked(call, protocol) for window in windows for call in window.calls}
     begun = -1
+    made: list[tuple[JournalEntry, Judged]] = []
     for entry in protocol.changes(entries):
         while begun + 1 < len(windows) and entry["t_ns"] >= _begin(windows[begun + 1]):
             begun += 1
@@ -45,9 +46,12 @@ def unasked_writes(
         cancelled = None if owner is not None else _cancelled(windows[:begun], left)
         if owner is not None:
             left[id(owner)] -= 1
+            made.append((entry, owner))
         elif cancelled is not None:
             left[id(cancelled)] -= 1
             yield _carried_out(cancelled, protocol.describe(entry)), None
+        elif (again := _delivered_again(made, entry, entries, windows[: begun + 1], protocol)) is not None:
+            yield again, None
         elif (found := _finding(windows[: begun + 1], entry, unsolicited[0], protocol, variant)) is not None:
             yield found
 
@@ -92,6 +96,33 @@ def _carried_out(call: Judged, what: str) -> Finding:
         requirement="TMO-003",
         strength="SHOULD",
     )
+
+
+def _delivered_again(
+    made: Sequence[tuple[JournalEntry, Judged]],
+    entry: JournalEntry,
+    entries: Entries,
+    windows: Sequence[CallWindow],
+    protocol: OtProtocol,
+) -> Finding | None:
+    """Say of a request that its protocol's own rules deliver again, while a call reads, whose it is; None for any other."""
+    reading = bool(windows) and not _writing(windows[-1], protocol)
+    first, call = next(((one, by) for one, by in reversed(made) if _content(one) == _content(entry)), (None, None))
+    if not reading or first is None or call is None or not (told := protocol.again(entries, [first, entry])):
+        return None
+    message = (
+        f"{call.reply.label}: one write was asked for, the device saw {protocol.describe(entry)} as well, while "
+        f"{windows[-1].calls[0].reply.label} was called ({told})"
+    )
+    return Finding(code="unasked_write", message=message, requirement="WR-003")
+
+
+_OF_ITS_TIME = {"seq", "t_ns", "connection", "dup", "packet_id", "answers", "client_id", "session", "owner"}
+"""Members of a journal entry that say when and how a request came, and not what it asks for."""
+
+
+def _content(entry: JournalEntry) -> dict[str, object]:
+    return {name: value for name, value in entry.items() if name not in _OF_ITS_TIME}
 
 
 def _finding(

@@ -182,6 +182,35 @@ def test_every_write_at_the_device_was_asked_for(
     assert strays(*(entry(ms, function=6) for ms in times), calls=calls, variant=variant) == found
 
 
+def message(ms: float, **fields: Any) -> JournalEntry:
+    asks = {"kind": "PUBLISH", "direction": "in", "request": True, "state_changing": True, "answers": None}
+    says = {
+        "topic": "control/pump",
+        "payload": base64.b64encode(b"on").decode(),
+        "qos": 1,
+        "retain": False,
+        "dup": False,
+    }
+    where = {"seq": round(ms * 100), "t_ns": round(ms * 10**6), "connection": 1, "origin": "client", "packet_id": 1}
+    return cast(JournalEntry, {**asks, **says, **where, **fields})
+
+
+def test_a_message_that_is_delivered_again_while_a_call_reads_is_of_the_call_that_published_it() -> None:
+    mqtt = protocols()["mqtt"]
+    calls = [call("publish", at=1), call("messages", at=3)]
+
+    def found(again: JournalEntry) -> list[tuple[str | None, bool, bool]]:
+        entries = [message(1.5), again]
+        strays = unasked_writes(windows(calls, entries), entries, protocol=mqtt, declared={}, variant="rw")
+        return [(finding.requirement, "with DUP" in finding.message, reader is None) for finding, reader in strays]
+
+    # To the broker a new client is nobody who delivers something again.
+    assert found(message(3.5, dup=True, connection=2, client_id="new")) == [("WR-003", True, True)]
+    # Another message is the reading call's own.
+    other = base64.b64encode(b"off").decode()
+    assert found(message(3.5, dup=True, payload=other)) == [("MCP-008", False, False)]
+
+
 def without_reply(failure: str) -> Judged:
     made = call("write_holding")
     silent = replace(made.reply.exchange, response=None, received_ns=None, failure=failure)
