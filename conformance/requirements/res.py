@@ -377,8 +377,8 @@ async def overload_is_refused(run: Repetition, at: Rig) -> None:
         replies = await run.together(*(at.call(one.operation, **one.inputs) for one in asked))
         await at.fault()
         waited = [reply for reply in replies if not reply.success and not _is_refusal(reply)]
-        # The calls are equal: which of them has which answer must not decide what is found.
-        for reply in replies:
+        # The calls are equal: which of them has which answer must not decide what is found, nor which of many faults are told.
+        for reply in sorted(replies, key=lambda one: one.exchange.sent_ns):
             if reply.success:
                 run.succeeds(reply)
             elif _is_refusal(reply):
