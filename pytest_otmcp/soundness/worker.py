@@ -11,6 +11,7 @@ import os
 import queue
 import signal
 import sys
+import tempfile
 import threading
 import time
 from typing import Any
@@ -36,7 +37,10 @@ def main() -> None:
     os.dup2(2, 1)
     jobs = _Jobs()
     try:
-        _serve(jobs, answers)
+        with tempfile.TemporaryDirectory(prefix="otmcp-") as directory:
+            # What an adapter writes into the folder in which it works must not be seen by the items of another worker.
+            os.chdir(directory)
+            _serve(jobs, answers)
     except (KeyboardInterrupt, BrokenPipeError):
         # Nobody waits for the answer any more.
         sys.exit(1)

@@ -57,6 +57,12 @@ DEFECT = ("-P", "-m", DEFECTS)
 """Words that start the adapter with the catalogue's defect whose id follows."""
 
 
+@pytest.fixture(autouse=True)
+def apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let each test's adapters work in a folder of their own: equal items of several workers look for files of equal names there."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture(scope="session")
 def loop() -> Iterator[LoopThread]:
     thread = LoopThread()
