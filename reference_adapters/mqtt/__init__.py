@@ -1,4 +1,4 @@
-"""The MQTT and Sparkplug B adapter: 16 tools over one connection.
+"""The MQTT and Sparkplug B adapter: 17 tools over one connection.
 
 Environment: ``MQTT_URL`` (mqtt://127.0.0.1:1883), ``MQTT_CLIENT_ID`` (otmcp-adapter), ``MQTT_USERNAME``,
 ``MQTT_PASSWORD``, ``MQTT_TIMEOUT_S`` (2, per exchange), ``MQTT_DEADLINE_S`` (4, per call), ``MQTT_WRITES_ENABLED`` (no),

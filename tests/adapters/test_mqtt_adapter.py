@@ -97,8 +97,8 @@ def drained(adapter: Any, topic: str) -> dict[str, Any]:
 # -- the surface ---------------------------------------------------------------------------------------------
 
 
-def test_there_are_the_fifteen_tools_of_the_paper_and_one_that_reads_messages(adapter: Any) -> None:
-    assert len(adapter.tools) == 16
+def test_there_are_the_fifteen_tools_of_the_paper_and_two_that_read_messages_and_metrics(adapter: Any) -> None:
+    assert len(adapter.tools) == 17
 
 
 def test_broker_info_asks_the_broker_every_time(adapter: Any, broker: Any) -> None:

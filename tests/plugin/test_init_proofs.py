@@ -354,7 +354,7 @@ def test_a_sentence_is_read_whatever_the_type_of_its_value_is(read_of: Callable[
     for said, value in (
         ("True", True),
         ("25.0", 25.0),
-        ("9007199254740993", 9007199254740993),
+        ("9007199254740993", "9007199254740993"),
         ("2026-11-22 12:00:00", "2026-11-22 12:00:00"),
         ("[1, -2, 3]", [1, -2, 3]),
         (" tank 7, empty ", " tank 7, empty "),
