@@ -78,6 +78,8 @@ class DeviceHistory:
             raise HistoryError(f"the items before do not show of the session at {self.name} that its proof is {proof}")
         self.looked(found["before"], found["begin"], found["seen_ns"])
         self.take(found["before"], found["begin"], found["asked_ns"])
+        if not found["quiet"]:
+            cursor.forget_faults()
 
     def restart(self) -> None:
         """Take into account that the device was started again: its journal counts from 0, and so do its connections."""

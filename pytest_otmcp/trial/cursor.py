@@ -145,6 +145,10 @@ class JournalCursor:
         faults, self._faults = self._faults, []
         return faults
 
+    def forget_faults(self) -> None:
+        """Drop what has been found and not been asked for: it is of an item that ended before its time, and not the next one's."""
+        self.take_faults()
+
     def _keep_faults(self) -> None:
         for oracle in self._oracles.values():
             self._faults += oracle.take_faults()

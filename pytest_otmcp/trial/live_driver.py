@@ -206,8 +206,6 @@ class LiveDriver:
         """End the sessions that the next items shall not have; the devices of other variants than that with writes enabled are this item's alone."""
         with self.spent("adapter starts"):
             for state in self._states:
-                # What the oracles of a session have found in an item that ended before it asked them is not the next item's.
-                state.under_test.cursor.take_faults()
                 if (renew and not state.under_test.cursor.hopeless) or state.under_test.variant != READ_WRITE:
                     await state.under_test.close()
 

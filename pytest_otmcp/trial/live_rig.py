@@ -73,6 +73,8 @@ class LiveItemState:
             self._found["proof"] = proof
         self.told_session = cursor.session
         cursor.take(journal.entries, journal.next)
+        if not self._found["quiet"]:
+            cursor.forget_faults()
         await self.release()
 
     async def release(self) -> None:

@@ -368,7 +368,9 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant("75", "Negative numbers lose their sign.", encoding(_unsigned), "SPB-001", "SPB-001"),
     _mutant("75n", "Null is encoded as 0.", encoding(_zero_for_null), "SPB-001", "SPB-001"),
     _mutant("76w", "CONNECT carries no will.", no_will, _EVERY, "SPB-006"),
-    _mutant("76s", "bdSeq is the same with every connection.", constant_count, "SPB-003 SPB-005 SPB-006 SPB-010", "SPB-006"),
+    _mutant(
+        "76s", "bdSeq is the same with every connection.", constant_count, "SPB-003 SPB-005 SPB-006 SPB-010", "SPB-006"
+    ),
     _mutant("76d", "The session ends with DISCONNECT and without NDEATH.", no_death_before_the_end, "", "SPB-012"),
     _mutant("77s", "NBIRTH is published with QoS 1.", births(lambda birth: replace(birth, qos=1)), _EVERY, "SPB-002"),
     _mutant(
