@@ -29,7 +29,8 @@ def add_parser(subparsers: Any) -> None:
         description=(
             "Start the adapter at a mock device, read its tools, try them, and write a commented otmcp.toml. In COMMAND and "
             "in --env {host}, {port}, {url} and, for a serial line, {serial} stand for the mock device. Tools that write are tried only after random values of "
-            "the mock device came back through the adapter; tools that read are called wherever the adapter leads, and none of "
+            "the mock device came back through the adapter, or, where no tool reads, a client arrived at the mock broker. Among them are tools that no "
+            "operation needs and whose names say that they command the plant. Tools that read are called wherever the adapter leads, and none of "
             "them whose name says that it changes something."
         ),
     )

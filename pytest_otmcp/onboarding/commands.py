@@ -13,8 +13,8 @@ from .evidence import tells_failure
 from .experimenter import Experimenter, NotProvenError
 from .guess import Guess
 from .input_schema import kinds, properties, required, resolved
-from .matching import commanding_tools, snake
-from .pack import Pack
+from .matching import commanding_tools, snake, words_in
+from .pack import Pack, Told
 
 __all__ = ["look_for_commands"]
 
@@ -24,10 +24,11 @@ _TOOLS, _OPTIONS, _VALUES = 12, 3, 8
 _RANGE = re.compile(r"(-?\d+(?:\.\d+)?)\s*(?:-|\u2013|to|\.\.\.?|\u2026)\s*(-?\d+(?:\.\d+)?)")
 """A range in the description of an argument."""
 
-_PLACE = re.compile(
-    r"host|url|uri|address|addr|ip|port|endpoint|path|file|user(name)?|password|token|topic", re.IGNORECASE
+_NOT_INVENTED = frozenset(
+    """host hostname url uri address addr ip port endpoint path file filename folder user username password token key secret topic command
+    code script sql query""".split()
 )
-"""Names of arguments that no invented text may be given."""
+"""Words in the names of arguments that no invented text is given."""
 
 
 async def look_for_commands(
@@ -45,11 +46,12 @@ async def look_for_commands(
         names: arguments, in snake case, that name a device which was registered, each with the name.
     """
     found: dict[str, Effect] = {}
-    if pack.told is None:
+    told = pack.told
+    if told is None:
         return found
     for name in commanding_tools(pack, tools, taken)[:_TOOLS]:
         try:
-            effect = await _effect(experimenter, pack, name, tools[name], names)
+            effect = await _effect(experimenter, told, name, tools[name], names)
         except NotProvenError as problem:
             say(f"  {name:<15} (not tried as a command, nothing was written: {problem})")
             return found
@@ -69,7 +71,7 @@ def _alike(one: Effect, other: Effect) -> bool:
 
 
 async def _effect(
-    experimenter: Experimenter, pack: Pack, name: str, tool: Mapping[str, Any], names: Mapping[str, str]
+    experimenter: Experimenter, told: Told, name: str, tool: Mapping[str, Any], names: Mapping[str, str]
 ) -> Effect | None:
     """Return what a tool does with its required arguments, or with one more; None where the device was not told one thing."""
     schema = resolved(tool, None)
@@ -88,19 +90,25 @@ async def _effect(
     more = [argument for argument in known if argument not in needed and known[argument]][:_OPTIONS]
     for added in ([], *([argument] for argument in more)):
         values = {argument: known[argument] for argument in (*needed, *added)}
-        calls = await _calls(experimenter, pack, name, values)
-        if calls is not None:
+        calls = await _calls(experimenter, told, name, values)
+        if calls:
             ranges = {one: bounds for one in values if (bounds := _whole_range(arguments[one])) is not None}
-            documents = protocols()[pack.protocol].operations[calls[0].operation].documents
-            return effect_of(name, calls, ranges, documents)
+            operations = protocols()[experimenter.adapter.adapter.protocol].operations
+            return effect_of(name, calls, ranges, operations[calls[0].operation].documents)
+        if calls is None:
+            return None
     return None
 
 
 async def _calls(
-    experimenter: Experimenter, pack: Pack, name: str, values: Mapping[str, list[Any]]
+    experimenter: Experimenter, told: Told, name: str, values: Mapping[str, list[Any]]
 ) -> list[Call] | None:
-    """Call a tool twice with the first value of each argument, and once with each other one; None where a call tells the device another
-    number of things than one, or fails."""
+    """Call a tool twice with the first value of each argument, and once with each other one.
+
+    Returns:
+        The calls by which the device was told one thing; none where the first two were refused; None where they told it none, or
+        several: then the tool does something else, and is not called again.
+    """
     first = {argument: some[0] for argument, some in values.items()}
     others = ({**first, argument: value} for argument, some in values.items() for value in some[1:])
     guess = Guess(
@@ -115,14 +123,15 @@ async def _calls(
     calls: list[Call] = []
     for arguments in (first, first, *others):
         shown = await experimenter.write(guess, arguments)
-        told = [pack.told(entry) for entry in state_changing(shown.entries)] if pack.told is not None else []
-        if shown.message is None or tells_failure(shown.message) or len(told) != 1 or told[0] is None:
+        things = [told(entry) for entry in state_changing(shown.entries)]
+        refused = shown.message is None or tells_failure(shown.message)
+        if refused or len(things) != 1 or things[0] is None:
             if len(calls) < 2:
-                return None
+                return [] if refused and not things else None
             # It takes no such value.
             continue
-        operation, inputs = told[0]
-        calls.append(Call(arguments=arguments, operation=operation, inputs=inputs, answer=shown.message))
+        operation, inputs = things[0]
+        calls.append(Call(arguments=arguments, operation=operation, inputs=inputs, answer=shown.message or {}))
     return calls
 
 
@@ -141,7 +150,7 @@ def _values(name: str, described: Mapping[str, Any]) -> list[Any]:
         low, high = bounds
         points = (low, low + (high - low) / 4, low + (high - low) / 2, high)
         return list(dict.fromkeys(map(int, points) if "integer" in types else (round(point, 6) for point in points)))
-    if "string" in types and not _PLACE.search(name):
+    if "string" in types and not words_in(name) & _NOT_INVENTED:
         examples = described.get("examples")
         return list(examples)[:_VALUES] if isinstance(examples, list) and examples else list(_texts(described))
     return []

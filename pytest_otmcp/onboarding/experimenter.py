@@ -17,7 +17,7 @@ from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
 from ..subject.addressing import mentions_address
 from ..subject.answers import read_answer
-from ..subject.model import Answering, Binding
+from ..subject.model import Answering, Binding, placeholders
 from ..trial.adapter_under_test import AdapterUnderTest
 from ..trial.proving import ARRIVAL
 from .evidence import Found, Sample, find, no_result, same_value, tells_failure
@@ -226,12 +226,19 @@ class Experimenter:
                 if again.returned or (again.proven and not proposal.returned):
                     self.adapter.cursor.proven = proposal.guess.operation
                     return
-            if not any(proposal.returned for proposal, _ in self._read) and await self._has_arrived():
+            if not any(map(self._says_more_than_arrival, self._read)) and await self._has_arrived():
                 self.adapter.cursor.proven = ARRIVAL
                 return
         finally:
             self._writing = True
         raise NotProvenError("no random value that was set at the mock device came back through the adapter")
+
+    def _says_more_than_arrival(self, read: tuple[Proposal, Experiment]) -> bool:
+        """Tell whether a tool brought a value back, or takes what its operation is about, such as a filter, and brought none: it may read
+        somewhere else."""
+        guess = read[0].guess
+        known = protocols()[self.adapter.adapter.protocol].operations[guess.operation]
+        return read[0].returned or bool(placeholders(guess.arguments) & {*known.inputs})
 
     async def _has_arrived(self) -> bool:
         """Tell whether a client arrived at the mock device since the session began, where that says who it is.

@@ -13,7 +13,7 @@ from .guess import Guess
 from .input_schema import choice, kinds, properties, required, resolved
 from .pack import Hints, Pack
 
-__all__ = ["commanding_tools", "guess_steps", "guess_tools", "registered", "snake", "status_tools"]
+__all__ = ["commanding_tools", "guess_steps", "guess_tools", "registered", "snake", "status_tools", "words_in"]
 
 _ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value"}
 """Inputs that operations of any protocol have, to the names that tools have for them; packs add their own inputs."""
@@ -120,7 +120,7 @@ _PLACES: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 
 def _step(pack: Pack, name: str, tool: Mapping[str, Any]) -> Guess | None:
-    score = _steps(_words(name))
+    score = _steps(words_in(name))
     if not score or _is_foreign(pack.protocol, name, tool):
         return None
     schema = resolved(tool, None)
@@ -152,7 +152,7 @@ def status_tools(pack: Pack, tools: Mapping[str, Mapping[str, Any]]) -> list[str
     return [
         name
         for name, tool in tools.items()
-        if _words(name) & _STATUS
+        if words_in(name) & _STATUS
         and not required(resolved(tool, None))
         and not _may_change(name, tool, frozenset())
         and not _is_foreign(pack.protocol, name, tool)
@@ -165,6 +165,12 @@ _OWN_AFFAIRS = frozenset(
     backup join permit pair upload device devices connection session history log cache alias""".split()
 )
 """Words in the names of tools that change the adapter itself, or what cannot be changed back."""
+
+_ELSEWHERE = frozenset(
+    """run execute invoke eval call shell script program process job workflow query sql email mail sms notify webhook slack post http request
+    download file folder directory browser""".split()
+)
+"""Words in the names of tools that may act on anything but the device."""
 
 _ADDRESSES = ("address", "topic", "filter", "node", "nodes", "items")
 """Inputs of operations that say where something is written: a tool that is told it has no vocabulary of its own."""
@@ -181,7 +187,7 @@ def commanding_tools(pack: Pack, tools: Mapping[str, Mapping[str, Any]], taken: 
         name
         for name, tool in tools.items()
         if name not in taken
-        and not _words(name) & _OWN_AFFAIRS
+        and not words_in(name) & (_OWN_AFFAIRS | _ELSEWHERE)
         and _may_change(name, tool, frozenset())
         and not _is_foreign(pack.protocol, name, tool)
         and not {snake(key) for key in properties(resolved(tool, None))} & inputs
@@ -215,7 +221,8 @@ def _in_order(name: str) -> list[str]:
     return re.split(r"[^a-z0-9]+", snake(name))
 
 
-def _words(name: str) -> set[str]:
+def words_in(name: str) -> set[str]:
+    """Return the words of the name of a tool or of an argument, in lower case."""
     return set(_in_order(name))
 
 
@@ -255,7 +262,7 @@ def _guess(
     pack: Pack, operation: str, name: str, tool: Mapping[str, Any], registered_as: Mapping[str, str]
 ) -> Guess | None:
     asked, hints = protocols()[pack.protocol].operations[operation], pack.operations[operation]
-    words, likely = _words(name), set(hints.likely.split())
+    words, likely = words_in(name), set(hints.likely.split())
     if hints.needed and not words & set(hints.needed.split()):
         return None
     if hints.named is not None and hints.named.fullmatch(name) is None:
@@ -281,7 +288,7 @@ def _guess(
     if asked.voluntary and (missing or trials or not set(asked.inputs) <= placed):
         # What nobody has to have is only proposed where nothing is open.
         return None
-    score = 2.0 * len(words & likely) + 0.25 * len(_words(str(tool.get("description") or "")[:400]) & likely)
+    score = 2.0 * len(words & likely) + 0.25 * len(words_in(str(tool.get("description") or "")[:400]) & likely)
     if asked.waits not in placed:
         # A tool that waits for what it answers may be called after the other half of its work.
         score -= 3.0 * len(words & set(hints.unlikely.split()))

@@ -16,7 +16,10 @@ from .experimenter import Experiment
 from .known_causes import KnownCause
 from .proposal import Proposal
 
-__all__ = ["Hints", "Pack", "load_pack", "plain"]
+__all__ = ["Hints", "Pack", "Told", "load_pack", "plain"]
+
+Told = Callable[[JournalEntry], tuple[str, Mapping[str, object]] | None]
+"""A function that returns what a request that changes the plant asks for, as an operation with its inputs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,8 +61,7 @@ class Pack:
         constants: pattern of an argument's name, to the value that the mock device wants there.
         names: names of the protocol that an argument may expect.
         late: a journal entry that may follow the answer to a call, as members and values; None when none does.
-        told: returns what a request that changes the plant asks for, as an operation with its inputs, or None for one that no named command
-            can have; None where the search for named commands is not known.
+        told: None for a request that no named command can have; without it `otmcp init` looks for no named commands.
         samples: makes reads that prove a binding, beside those of the protocol's exercise; None where these are all.
         errors: error code to patterns of the texts in which libraries report it.
         causes: known causes in this protocol's libraries why an adapter does not start.
@@ -74,7 +76,7 @@ class Pack:
     constants: Mapping[str, object] = field(default_factory=dict)
     names: tuple[str, ...] = ()
     late: Mapping[str, object] | None = None
-    told: Callable[[JournalEntry], tuple[str, Mapping[str, object]] | None] | None = None
+    told: Told | None = None
     samples: Callable[[random.Random], Sequence[Asked]] | None = None
     errors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     causes: tuple[KnownCause, ...] = ()

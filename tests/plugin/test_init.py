@@ -14,7 +14,7 @@ from pytest_otmcp.cli import main
 from pytest_otmcp.protocols.own import OWN
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.soundness.warm_start import WarmStart
-from pytest_otmcp.subject import load_subject
+from pytest_otmcp.subject import Adapter, load_subject
 
 FOREIGN = Path(__file__).parents[1] / "soundness" / "foreign.py"
 OTMCP = [sys.executable, "-m", "pytest_otmcp.cli"]
@@ -105,6 +105,23 @@ def otmcp(tmp_path: Path) -> Otmcp:
     return run
 
 
+Proposed = Callable[[str, str, str], tuple[str, Adapter]]
+
+
+@pytest.fixture
+def proposed(otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart) -> Proposed:
+    """Return what ``otmcp init`` prints about a script, and the adapter that it describes; the script is told host and port by variables."""
+
+    def run(script: str, protocol: str, prefix: str) -> tuple[str, Adapter]:
+        (tmp_path / "adapter.py").write_text(script, encoding="utf-8")
+        places = ("--env", f"{prefix}_HOST={{host}}", "--env", f"{prefix}_PORT={{port}}")
+        done = otmcp("init", "--protocol", protocol, *places, "--", *warm_start.python, "adapter.py")
+        assert done.returncode == 0, done.stderr
+        return done.stdout, load_subject(tmp_path / "otmcp.toml").adapters[protocol]
+
+    return run
+
+
 def test_a_prose_adapter_is_described_by_what_the_device_saw(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
 ) -> None:
@@ -167,16 +184,11 @@ server.run()
 )
 
 
-def test_an_adapter_that_connects_in_the_background_is_waited_for(
-    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
-) -> None:
-    (tmp_path / "background.py").write_text(BACKGROUND, encoding="utf-8")
-    places = ("--env", "PLC_HOST={host}", "--env", "PLC_PORT={port}")
-    done = otmcp("init", "--protocol", "modbus", *places, "--", *warm_start.python, "background.py")
-    assert done.returncode == 0, done.stderr
-    assert "ready           connection_status (it said 'state: connecting' at first)" in done.stdout
-    assert "write_holding   set_register (proven" in done.stdout
-    ready = load_subject(tmp_path / "otmcp.toml").adapters["modbus"].ready
+def test_an_adapter_that_connects_in_the_background_is_waited_for(proposed: Proposed) -> None:
+    told, adapter = proposed(BACKGROUND, "modbus", "PLC")
+    assert "ready           connection_status (it said 'state: connecting' at first)" in told
+    assert "write_holding   set_register (proven" in told
+    ready = adapter.ready
     assert ready is not None
     assert (ready.tool, ready.answering.outcome[0].text) == ("connection_status", "(?m)^state: connected$")
 
@@ -205,15 +217,10 @@ server.run()
 """
 
 
-def test_an_adapter_that_needs_a_new_session_after_an_outage_is_described_so(
-    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
-) -> None:
-    (tmp_path / "once.py").write_text(ONCE, encoding="utf-8")
-    places = ("--env", "PLC_HOST={host}", "--env", "PLC_PORT={port}")
-    done = otmcp("init", "--protocol", "modbus", *places, "--", *warm_start.python, "once.py")
-    assert done.returncode == 0, done.stderr
-    assert "recovery        new_session (after the device was away nothing else helped)" in done.stdout
-    assert load_subject(tmp_path / "otmcp.toml").adapters["modbus"].recovery == "new_session"
+def test_an_adapter_that_needs_a_new_session_after_an_outage_is_described_so(proposed: Proposed) -> None:
+    told, adapter = proposed(ONCE, "modbus", "PLC")
+    assert "recovery        new_session (after the device was away nothing else helped)" in told
+    assert adapter.recovery == "new_session"
 
 
 # A vocabulary of its own, and no tool that reads what the kit knows.
@@ -255,20 +262,33 @@ def delete_device(name: str) -> str:
     return tell("home/devices/delete", name=name)
 
 
+def note(what: str) -> str:
+    with open("noted", "a") as log:
+        log.write(what + " ")
+    return "ok"
+
+
+@server.tool(structured_output=False)
+def say_aloud(text: str, loud: bool = False) -> str:
+    return note("said")
+
+
+@server.tool(structured_output=False)
+def run_script(name: str) -> str:
+    return note("ran")
+
+
 server.run()
 """
 
 
 def test_tools_of_another_vocabulary_are_proposed_with_the_effect_that_the_device_saw(
-    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
+    proposed: Proposed, tmp_path: Path
 ) -> None:
-    (tmp_path / "lamp.py").write_text(LAMP, encoding="utf-8")
-    places = ("--env", "MQTT_HOST={host}", "--env", "MQTT_PORT={port}")
-    done = otmcp("init", "--protocol", "mqtt", *places, "--", *warm_start.python, "lamp.py")
-    assert done.returncode == 0, done.stderr
-    adapter = load_subject(tmp_path / "otmcp.toml").adapters["mqtt"]
+    _, adapter = proposed(LAMP, "mqtt", "MQTT")
     found = {binding.tool: binding.command for binding in adapter.operations["publish"]}
-    # One of the others tells the device two things with each call, and one changes the adapter itself.
+    # What tells the device nothing, or two things at once, is called once; what acts elsewhere, or on the adapter itself, never.
+    assert (tmp_path / "noted").read_text() == "said "
     assert found.keys() == {"set_brightness", "turn_heating"}
     dimmed, heated = found["set_brightness"], found["turn_heating"]
     assert dimmed is not None

@@ -80,6 +80,9 @@ class Node:
     """What is known of an edge node."""
 
     def __init__(self) -> None:
+        self._forget()
+
+    def _forget(self) -> None:
         self.online, self.gap = False, False
         self.seq: int | None = None
         self.bd_seq: object = None
@@ -87,7 +90,7 @@ class Node:
         self.devices: dict[str, tuple[bool, Known]] = {}
 
     def born(self, message: dict[str, Any]) -> None:
-        self.__init__()  # type: ignore[misc]
+        self._forget()
         self.online, self.seq, self.own = True, message["seq"], known(message)
         self.bd_seq = bd_seq(message)
 

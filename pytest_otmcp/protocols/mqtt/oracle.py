@@ -6,7 +6,7 @@ base64. The packets of the simulator's clients and of the kit are left out every
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -362,17 +362,7 @@ def acknowledged(entries: Entries, payload: bytes, *, received_ns: int) -> list[
 def never_published(entries: Entries, payload: bytes, *, client_id: str | None = None) -> list[Finding]:
     """Expect that no message with these bytes reached the broker, on any topic."""
     found = [entry for entry in adapter_packets(entries, "PUBLISH", "in", client_id) if payload_of(entry) == payload]
-    if not found:
-        return []
-    return [
-        Finding(
-            code="made_up_for",
-            message=f"{payload[:80]!r} was reported as failed and should never have been published, the broker received it "
-            f"{len(found)} time(s)",
-            requirement="WR-010",
-            evidence=shown(entries),
-        )
-    ]
+    return _made_up_for(f"{payload[:80]!r}", found, entries)
 
 
 def never_commanded(entries: Entries, inputs: Mapping[str, Any]) -> list[Finding]:
@@ -382,17 +372,14 @@ def never_commanded(entries: Entries, inputs: Mapping[str, Any]) -> list[Finding
         inputs: of the operation that was reported as failed.
     """
     found = [entry for entry in adapter_packets(entries, "PUBLISH", "in") if is_sparkplug_command(entry, inputs)]
+    return _made_up_for(f"a command to {found[0]['topic']}", found, entries) if found else []
+
+
+def _made_up_for(what: str, found: Sequence[MqttEntry], entries: Entries) -> list[Finding]:
     if not found:
         return []
-    return [
-        Finding(
-            code="made_up_for",
-            message=f"a command to {found[0]['topic']} was reported as failed and should never have been published, the broker "
-            f"received it {len(found)} time(s)",
-            requirement="WR-010",
-            evidence=shown(entries),
-        )
-    ]
+    message = f"{what} was reported as failed and should never have been published, the broker received it {len(found)} time(s)"
+    return [Finding(code="made_up_for", message=message, requirement="WR-010", evidence=shown(entries))]
 
 
 def no_command(entries: Entries, declared: Declared = MappingProxyType({})) -> list[Finding]:
