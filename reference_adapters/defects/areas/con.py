@@ -93,16 +93,18 @@ def over_a_stream(name: str, function: int, **options: Any) -> Bend:
 
 def late_answers(server: AdapterServer) -> None:
     """A read that has run out of time is still under way, and the next read is given its answer."""
+    link = server._tools["read_opcua_node"].handler.__self__._link
+    patience_s = link._timeout_s
+    link._timeout_s = 3 * patience_s
     late: list[asyncio.Future[Data]] = []
 
     def handed_on(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Data:
-            late.append(asyncio.ensure_future(genuine(call, arguments)))
-            first = late.pop(0)
+            answer = late.pop() if late else asyncio.ensure_future(genuine(call, arguments))
             try:
-                data = await asyncio.wait_for(asyncio.shield(first), 1.0)
+                data = await asyncio.wait_for(asyncio.shield(answer), patience_s)
             except TimeoutError:
-                late.insert(0, first)
+                late.append(answer)
                 raise AdapterError("timeout", "the server did not answer in time") from None
             return {**data, "node_id": arguments.node_id}
 
