@@ -7,7 +7,7 @@ something has interpreted. None asks for more than that a text is left alone: an
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from pytest_otmcp.core.finding import Finding
@@ -260,8 +260,9 @@ async def texts_stay_texts(run: Repetition, at: Rig) -> None:
     await it_answers(run, at)
     await _from_the_device(run, at, hostile)
     run.witnessed(nothing_arrived(at, await at.journal(), requirement="INJ-003"))
+    told: list[str] = []
     for asked in _with_texts(run, at):
-        await _in_arguments(run, at, asked, hostile)
+        await _in_arguments(run, at, asked, hostile, told)
     await _written(run, at, hostile)
     await it_answers(run, at)
     if await at.made_file(hostile.file):
@@ -310,7 +311,9 @@ def _with_texts(run: Repetition, at: Rig) -> Iterator[Asked]:
             yield asked
 
 
-async def _in_arguments(run: Repetition, at: Rig, asked: Asked, hostile: _Hostile) -> None:
+async def _in_arguments(run: Repetition, at: Rig, asked: Asked, hostile: _Hostile, told: list[str]) -> None:
+    """Call with each text in each argument. ``told`` has the texts of the calls so far: a library that sends in the background may still
+    be sending one when the next call is made."""
     arguments = at.arguments_of(asked.operation, **asked.inputs) or {}
     for name, argument in sorted(arguments.items()):
         given = asked.inputs[name]
@@ -318,12 +321,12 @@ async def _in_arguments(run: Repetition, at: Rig, asked: Asked, hostile: _Hostil
             continue
         for what, text in hostile.texts:
             # A path leads nowhere behind a name.
-            whole = text if what == _PATH else f"{given}{text}"
-            altered = Alteration(given={argument: whole})
+            told.append(text if what == _PATH else f"{given}{text}")
+            altered = Alteration(given={argument: told[-1]})
             reply = await at.call_altered(asked.operation, altered, **asked.inputs)
             found = hostile.shown_by(reply, f"{what}, in the argument {argument!r}")
             if not found and name not in _HOW:
-                found = _other_requests(at, reply, reply.during(await at.journal()), whole, f"{what} in {argument!r}")
+                found = _other_requests(at, reply, reply.during(await at.journal()), told, f"{what} in {argument!r}")
             run.judge(reply, found)
             if found or _was_looked_for(reply):
                 break
@@ -334,8 +337,8 @@ def _was_looked_for(reply: Reply) -> bool:
     return not reply.success and (reply.latency_ms or 0.0) > _SLOW_MS
 
 
-def _other_requests(at: Rig, reply: Reply, seen: Entries, whole: str, what: str) -> list[Finding]:
-    others = [entry for entry in seen if entry["state_changing"] and not carries(entry, whole)]
+def _other_requests(at: Rig, reply: Reply, seen: Entries, told: Sequence[str], what: str) -> list[Finding]:
+    others = [entry for entry in seen if entry["state_changing"] and not any(carries(entry, whole) for whole in told)]
     if not nothing_arrived(at, others, requirement="INJ-003"):
         return []
     message = f"{reply.label}: {what}: the device saw a request for something else"
