@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from pytest_otmcp.replay.rig import Clock, RecordedRepetition, ReplayItemState
 
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.protocols.modbus.entries import points
@@ -22,7 +23,6 @@ from pytest_otmcp.record.reader import StoredRun
 from pytest_otmcp.record.schema import Call, Run, check
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.replay.reply import recorded_reply, restored_bindings
-from pytest_otmcp.replay.rig import Clock, RecordedRepetition, ReplayItemState
 from pytest_otmcp.subject import reference_subject
 from pytest_otmcp.subject.model import Answering, Binding, OutputRule
 from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id
