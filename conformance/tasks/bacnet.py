@@ -69,7 +69,7 @@ def half(run: Repetition) -> float:
 async def hold(rig: Rig, target: Target, value: float | None, priority: int | None = None) -> None:
     """Set a present value at the device, or a slot of its priority array."""
     slot = {} if priority is None else {"priority": priority}
-    await rig.poke(object=f"{target[0]},{target[1]}", value=value, **slot)
+    await rig.device.poke(object=f"{target[0]},{target[1]}", value=value, **slot)
 
 
 @TASKS.task(
@@ -100,7 +100,7 @@ async def a_slow_device_is_reported_as_slow(run: Repetition, bacnet: Rig) -> Non
     Seen: no request to the device for what another device was asked for.
     """
     await a_delay_shows(run, bacnet, "ping")
-    if bacnet.claims("discover"):
+    if bacnet.subject.claims("discover"):
         found = await bacnet.call("discover")
         if run.succeeds(found):
             run.judge(found, oracle.invented(found.outputs.get("devices"), DEVICE))
@@ -167,9 +167,9 @@ async def command_and_read_back(run: Repetition, bacnet: Rig) -> None:
     Why: a write without its priority takes the plant out of the hands of its operators, or stays without effect.
     """
     value = 40.5 + run.rep
-    before = await bacnet.image()
+    before = await bacnet.device.image()
     reply = await bacnet.call("write", **written(VALVE, value))
-    after = await bacnet.image()
+    after = await bacnet.device.image()
     read = await bacnet.call("read", **at(VALVE))
     run.succeeds(reply, value=value)
     run.succeeds(read, value=oracle.held(after, VALVE))
@@ -195,12 +195,12 @@ async def guarded_write(run: Repetition, bacnet_ro: Rig) -> None:
     Seen: no service that changes the device, no time synchronization; the device holds what it held.
     Why: the write switch is what keeps an assistant's mistake out of the plant.
     """
-    before = await bacnet_ro.image()
+    before = await bacnet_ro.device.image()
     reply = await bacnet_ro.call("write", **written(VALVE, 99.5))
     run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.witnessed(
         oracle.no_state_changing_request(await bacnet_ro.journal()),
-        oracle.only_changed(before, await bacnet_ro.image(), {}, otherwise="WR-004"),
+        oracle.only_changed(before, await bacnet_ro.device.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -240,9 +240,9 @@ async def a_higher_priority_wins(run: Repetition, bacnet: Rig) -> None:
     """
     kept, value = run.rng.sample(range(1000), 2)
     await hold(bacnet, VALVE, kept + 0.5, OTHER_PRIORITY)
-    before = await bacnet.image()
+    before = await bacnet.device.image()
     reply = await bacnet.call("write", **written(VALVE, value + 0.5))
-    after = await bacnet.image()
+    after = await bacnet.device.image()
     if not reply.success:
         run.fails(reply, "verify_failed", outcome="applied", requirement="WR-001")
     elif reply.outputs.get("value") != kept + 0.5:
@@ -271,13 +271,13 @@ async def relinquish(run: Repetition, bacnet: Rig) -> None:
     lower = half(run)
     await hold(bacnet, VALVE, lower, 16)
     await hold(bacnet, VALVE, lower + 1, PRIORITY)
-    before = await bacnet.image()
+    before = await bacnet.device.image()
     run.succeeds(await bacnet.call("write", **written(VALVE, None)))
     run.witnessed(
         oracle.exactly_one_write(await bacnet.journal(), VALVE, "null", None, priority=PRIORITY),
         oracle.only_changed(
             before,
-            await bacnet.image(),
+            await bacnet.device.image(),
             {oracle.present(VALVE): lower, oracle.slot(VALVE, PRIORITY): None},
         ),
     )
@@ -300,7 +300,7 @@ async def read_missing_object(run: Repetition, bacnet: Rig) -> None:
     Seen: the read, which the device refuses with unknown-object.
     Why: an assistant that gets a zero for an object that does not exist believes the zero.
     """
-    target = ("analog-input", int(str(bacnet.probe("missing_instance"))))
+    target = ("analog-input", int(str(bacnet.subject.probe("missing_instance"))))
     reply = await bacnet.call("read", **at(target))
     seen = reply.during(await bacnet.journal())
     if not oracle.reached(seen, target):
@@ -321,9 +321,9 @@ async def an_object_that_is_there_can_be_read(run: Repetition, bacnet: Rig) -> N
     value = half(run)
     await hold(bacnet, ZONE, value)
     run.succeeds(await bacnet.call("read", **at(ZONE)), value=value)
-    await bacnet.fault({"object": "analog-input,1", "action": {"answer_instance": 2}})
+    await bacnet.device.fault({"object": "analog-input,1", "action": {"answer_instance": 2}})
     reply = await bacnet.call("read", **at(ZONE))
-    await bacnet.fault()
+    await bacnet.device.fault()
     run.fails(reply, "protocol_error", *CONNECTION_FAULTS, requirement="RD-005", code_requirement="ERR-002")
     run.succeeds(await bacnet.call("read", **at(ZONE)), value=value)
 
@@ -332,7 +332,7 @@ async def _refused(
     run: Repetition, bacnet: Rig, target: Target, value: float, code: str, error: tuple[int, int]
 ) -> None:
     """Write what the device refuses, or what the adapter knows that it would refuse."""
-    before = await bacnet.image()
+    before = await bacnet.device.image()
     reply = await bacnet.call("write", **written(target, value))
     journal = await bacnet.journal()
     if oracle.no_state_changing_request(journal):
@@ -340,7 +340,7 @@ async def _refused(
         run.witnessed(oracle.refused_with(journal, *error))
     else:
         run.fails(reply, code, "range_overflow", "invalid_input", outcome="not_sent", requirement="ERR-002")
-    run.witnessed(oracle.only_changed(before, await bacnet.image(), {}, otherwise=untold(reply, "ERR-002")))
+    run.witnessed(oracle.only_changed(before, await bacnet.device.image(), {}, otherwise=untold(reply, "ERR-002")))
 
 
 @TASKS.task(
@@ -371,17 +371,17 @@ async def a_value_within_the_limit_is_accepted(run: Repetition, bacnet: Rig) -> 
     run.succeeds(await bacnet.call("write", **written(LEVEL, 7.5)), value=7.5)
     run.witnessed(
         oracle.exactly_one_write(await bacnet.journal(), LEVEL, "real", 7.5),
-        oracle.holds(await bacnet.image(), {oracle.present(LEVEL): 7.5}),
+        oracle.holds(await bacnet.device.image(), {oracle.present(LEVEL): 7.5}),
     )
 
 
 async def _not_sent(run: Repetition, bacnet: Rig, *codes: str, requirement: str, **inputs: Any) -> None:
-    before = await bacnet.image()
+    before = await bacnet.device.image()
     reply = await bacnet.call("write", **inputs)
     run.fails(reply, *codes, outcome="not_sent", requirement=requirement)
     run.witnessed(
         oracle.no_state_changing_request(await bacnet.journal(), requirement=untold(reply, requirement)),
-        oracle.only_changed(before, await bacnet.image(), {}, otherwise=untold(reply, requirement)),
+        oracle.only_changed(before, await bacnet.device.image(), {}, otherwise=untold(reply, requirement)),
     )
 
 
@@ -513,7 +513,7 @@ async def concurrent_read_and_write(run: Repetition, bacnet: Rig) -> None:
     run.succeeds(reply, value=new)
     run.witnessed(
         oracle.exactly_one_write(await bacnet.journal(), VALVE, "real", new, priority=PRIORITY),
-        oracle.holds(await bacnet.image(), {oracle.present(VALVE): new}),
+        oracle.holds(await bacnet.device.image(), {oracle.present(VALVE): new}),
     )
 
 

@@ -69,7 +69,7 @@ def read_of(kind: str, start: int, count: int = 1) -> Witness:
 
 async def hold(dnp3: Rig, kind: str, index: int, value: object) -> None:
     """Set a point at the outstation."""
-    await dnp3.poke(point=oracle.point(kind, index), value=value)
+    await dnp3.device.poke(point=oracle.point(kind, index), value=value)
 
 
 async def hold_analog(run: Repetition, dnp3: Rig, count: int) -> list[int]:
@@ -169,11 +169,11 @@ async def select_and_operate(run: Repetition, dnp3: Rig) -> None:
     """
     value = bool(run.rng.getrandbits(1))
     await hold(dnp3, "binary_output", LATCH, not value)
-    before = await dnp3.image()
+    before = await dnp3.device.image()
     reply = await dnp3.call("write_binary", **latched(value))
-    after = await dnp3.image()
+    after = await dnp3.device.image()
     run.succeeds(reply, value=value)
-    if dnp3.claims("read_alias"):
+    if dnp3.subject.claims("read_alias"):
         read = await dnp3.call("read_alias", name="otmcp_pump")
         run.succeeds(read, value=oracle.held(after, "binary_output", LATCH))
     journal = await dnp3.journal()
@@ -199,12 +199,12 @@ async def guarded_command(run: Repetition, dnp3_ro: Rig) -> None:
     Seen: no SELECT and nothing else that changes the plant; the restart bit and the clock are every master's to write.
     Why: the write switch is what keeps an assistant's mistake out of the plant.
     """
-    before = await dnp3_ro.image()
+    before = await dnp3_ro.device.image()
     reply = await dnp3_ro.call("write_binary", **latched(True))
     run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.witnessed(
         oracle.no_state_changing_request(await dnp3_ro.journal()),
-        oracle.only_changed(before, await dnp3_ro.image(), {}, otherwise="WR-004"),
+        oracle.only_changed(before, await dnp3_ro.device.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -284,19 +284,19 @@ async def a_selection_times_out(run: Repetition, dnp3: Rig) -> None:
     """
     value = bool(run.rng.getrandbits(1))
     await hold(dnp3, "binary_output", LATCH, not value)
-    before = await dnp3.image()
-    await dnp3.fault(
+    before = await dnp3.device.image()
+    await dnp3.device.fault(
         *({"function": function, "action": {"status": TIMED_OUT}} for function in (OPERATE, DIRECT_OPERATE))
     )
     reply = await dnp3.call("write_binary", **latched(value))
-    await dnp3.fault()
+    await dnp3.device.fault()
     told = {"requirement": "WR-001", "code_requirement": "ERR-002"}
     run.fails(reply, "session_error", "timeout", outcome=("rejected", "unknown"), **told)
     journal = await dnp3.journal()
     run.witnessed(
         oracle.exactly_one_operation(journal, "binary", LATCH, value),
         oracle.refused_with_status(journal, TIMED_OUT),
-        oracle.only_changed(before, await dnp3.image(), {}, otherwise="WR-001"),
+        oracle.only_changed(before, await dnp3.device.image(), {}, otherwise="WR-001"),
     )
 
 
@@ -310,7 +310,7 @@ async def the_output_can_be_operated(run: Repetition, dnp3: Rig) -> None:
     run.succeeds(await dnp3.call("write_binary", **latched(True)), value=True)
     run.witnessed(
         oracle.exactly_one_operation(await dnp3.journal(), "binary", LATCH, True),
-        oracle.holds(await dnp3.image(), {oracle.point("binary_output", LATCH): True}),
+        oracle.holds(await dnp3.device.image(), {oracle.point("binary_output", LATCH): True}),
     )
 
 
@@ -330,19 +330,19 @@ async def an_unsolicited_response(run: Repetition, dnp3: Rig) -> None:
     Why: an outstation that tells an alarm by itself must not get an old value for an answer, or forget an alarm that nobody was told of.
     """
     value = bool(run.rng.getrandbits(1))
-    if dnp3.claims("poll"):
+    if dnp3.subject.claims("poll"):
         await dnp3.call("poll", role="setup", outstation=OUTSTATION, event_class=1)
     values = await hold_analog(run, dnp3, 2)
     await hold(dnp3, "binary_input", EVENT_INPUT, value)
-    await dnp3.fault({"function": 1, "times": 1, "action": {"unsolicited": True}})
+    await dnp3.device.fault({"function": 1, "times": 1, "action": {"unsolicited": True}})
     reply = await dnp3.call("read_analog", **at(FIRST_ANALOG, 2))
-    await dnp3.fault()
+    await dnp3.device.fault()
     run.succeeds(reply, values=values)
     await dnp3.wait_for(kind="confirm", unsolicited=True, timeout_s=CONFIRMED_S)
     told = reply.outputs.get("events") or []
     if told:
         run.succeeds(reply, events=[event(value)])
-    if dnp3.claims("poll"):
+    if dnp3.subject.claims("poll"):
         run.succeeds(await polled(dnp3), events=[] if told else [event(value)])
     journal = await dnp3.journal()
     run.witnessed(
@@ -387,9 +387,9 @@ async def inputs_that_are_there_can_be_read(run: Repetition, dnp3: Rig) -> None:
     (value,) = await hold_analog(run, dnp3, 1)
     run.succeeds(await dnp3.call("read_analog", **at(FIRST_ANALOG)), values=[value])
     # The answer to a read of everything that an outstation has is about all of its points.
-    await dnp3.fault({"function": 1, "group": 30, "action": {"answer_index": 1}})
+    await dnp3.device.fault({"function": 1, "group": 30, "action": {"answer_index": 1}})
     reply = await dnp3.call("read_analog", **at(FIRST_ANALOG))
-    await dnp3.fault()
+    await dnp3.device.fault()
     if oracle.named(reply.during(await dnp3.journal()), "analog_input", FIRST_ANALOG):
         codes = ("protocol_error", "connection_lost", "timeout")
         run.fails(reply, *codes, requirement="RD-005", code_requirement="ERR-002")
@@ -400,7 +400,7 @@ async def _refused(
     run: Repetition, dnp3: Rig, status: int, *codes: str, operation: str = "write_binary", **inputs: Any
 ) -> None:
     """Send a command that the outstation refuses, or that the adapter knows that it would refuse."""
-    before = await dnp3.image()
+    before = await dnp3.device.image()
     reply = await dnp3.call(operation, **inputs)
     journal = await dnp3.journal()
     if oracle.no_state_changing_request(journal):
@@ -408,7 +408,7 @@ async def _refused(
         run.witnessed(oracle.refused_with_status(journal, status))
     else:
         run.fails(reply, *codes, "invalid_input", outcome="not_sent", requirement="ERR-002")
-    run.witnessed(oracle.only_changed(before, await dnp3.image(), {}, otherwise=untold(reply, "ERR-002")))
+    run.witnessed(oracle.only_changed(before, await dnp3.device.image(), {}, otherwise=untold(reply, "ERR-002")))
 
 
 @TASKS.task(
@@ -428,7 +428,7 @@ async def operate_missing_output(run: Repetition, dnp3: Rig) -> None:
     Seen: the selection, which the outstation answers with status 4, or nothing; every point stays as it was.
     Why: the status of a command that was refused is in the echo of its object, and the answer as such looks like any other.
     """
-    missing = int(str(dnp3.probe("missing_output")))
+    missing = int(str(dnp3.subject.probe("missing_output")))
     await _refused(run, dnp3, NOT_SUPPORTED, "illegal_address", "unsupported_operation", **latched(True, index=missing))
 
 
@@ -461,7 +461,7 @@ async def a_value_within_the_limit_is_accepted(run: Repetition, dnp3: Rig) -> No
     run.succeeds(await dnp3.call("write_alias", name=LIMITED, value=40.5), value=40.5)
     run.witnessed(
         oracle.exactly_one_operation(await dnp3.journal(), "analog", LIMITED_OUTPUT, 40.5),
-        oracle.holds(await dnp3.image(), {oracle.point("analog_output", LIMITED_OUTPUT): 40.5}),
+        oracle.holds(await dnp3.device.image(), {oracle.point("analog_output", LIMITED_OUTPUT): 40.5}),
     )
 
 
@@ -480,12 +480,12 @@ async def write_wrong_type(run: Repetition, dnp3: Rig) -> None:
     Seen: no request that changes the plant; every point stays as it was.
     Why: a text is true in many languages, and a breaker that was to open closes.
     """
-    before = await dnp3.image()
+    before = await dnp3.device.image()
     reply = await dnp3.call("write_binary", **latched("off"))
     run.fails(reply, "type_mismatch", "invalid_input", outcome="not_sent", requirement="ADR-004")
     run.witnessed(
         oracle.no_state_changing_request(await dnp3.journal(), requirement=untold(reply, "ADR-004")),
-        oracle.only_changed(before, await dnp3.image(), {}, otherwise=untold(reply, "ADR-004")),
+        oracle.only_changed(before, await dnp3.device.image(), {}, otherwise=untold(reply, "ADR-004")),
     )
 
 
@@ -598,7 +598,7 @@ async def concurrent_read_and_command(run: Repetition, dnp3: Rig) -> None:
     run.witnessed(
         oracle.exactly_one_operation(journal, "analog", 0, new),
         oracle.selected_first(journal),
-        oracle.holds(await dnp3.image(), {oracle.point("analog_output", 0): new}),
+        oracle.holds(await dnp3.device.image(), {oracle.point("analog_output", 0): new}),
     )
 
 

@@ -124,8 +124,8 @@ async def read_sensors(run: Repetition, ethernetip: Rig) -> None:
     speed, temperature, *levels = (run.rng.randrange(-(2**20), 2**20) + 0.5 for _ in range(5))
     held = {"MotorSpeed": speed, "Temperature": temperature, **dict(zip(elements(LEVELS, 3), levels, strict=True))}
     for tag, value in held.items():
-        await ethernetip.poke(tag=tag, value=value)
-    image = await ethernetip.image()
+        await ethernetip.device.poke(tag=tag, value=value)
+    image = await ethernetip.device.image()
     read_speed = await ethernetip.call("read_tag", tag="MotorSpeed")
     read_temperature = await ethernetip.call("read_tag", tag="Temperature")
     read_levels = await ethernetip.call("read_array", tag=f"{LEVELS}[0]", count=3)
@@ -141,7 +141,7 @@ async def read_sensors(run: Repetition, ethernetip: Rig) -> None:
             (read_levels, values_of(image, *elements(LEVELS, 3))),
         ),
         oracle.no_state_changing_request(journal, requirement="MCP-008"),
-        oracle.holds(await ethernetip.image(), held),
+        oracle.holds(await ethernetip.device.image(), held),
     )
 
 
@@ -170,10 +170,10 @@ async def write_and_read_back(run: Repetition, ethernetip: Rig) -> None:
     Why: an adapter that says "written" may have written twice, beside the tag, as another type, or not at all.
     """
     value = 40 + run.rep
-    await ethernetip.poke(tag=VALVE, value=~value)
-    before = await ethernetip.image()
+    await ethernetip.device.poke(tag=VALVE, value=~value)
+    before = await ethernetip.device.image()
     wrote = await ethernetip.call("write_tag", tag=VALVE, value=value, type="DINT")
-    after = await ethernetip.image()
+    after = await ethernetip.device.image()
     read = await ethernetip.call("read_tag", tag=VALVE)
     run.succeeds(wrote, value=value)
     # What the controller holds now may not be the value, which is the fault of the write; the read has to tell it.
@@ -201,12 +201,12 @@ async def guarded_write(run: Repetition, ethernetip_ro: Rig) -> None:
     Seen: no service that writes, sets, starts, stops or resets anything; the controller holds what it held.
     Why: the write switch is what keeps an assistant's mistake out of the plant.
     """
-    before = await ethernetip_ro.image()
+    before = await ethernetip_ro.device.image()
     reply = await ethernetip_ro.call("write_tag", tag=VALVE, value=999, type="DINT")
     run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.witnessed(
         oracle.no_state_changing_request(await ethernetip_ro.journal()),
-        oracle.only_changed(before, await ethernetip_ro.image(), {}, otherwise="WR-004"),
+        oracle.only_changed(before, await ethernetip_ro.device.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -223,7 +223,7 @@ async def the_guard_was_put_to_the_test(run: Repetition, ethernetip: Rig, ethern
     run.succeeds(written, value=999)
     run.witnessed(
         oracle.some_exchange(await ethernetip_ro.journal()),
-        oracle.exactly_one_write(await ethernetip.journal(), await ethernetip.image(), VALVE, "DINT", 999),
+        oracle.exactly_one_write(await ethernetip.journal(), await ethernetip.device.image(), VALVE, "DINT", 999),
     )
     # This controller's journal holds the whole life of the read-only session, its closing included, and nothing else.
     await ethernetip_ro.close_session()
@@ -247,12 +247,12 @@ async def write_one_bit(run: Repetition, ethernetip: Rig) -> None:
     Why: who reads a word, changes a bit and writes the word takes back what the program has done meanwhile.
     """
     start = run.rng.randrange(0x100) & ~0x08
-    await ethernetip.poke(tag=FLAGS, value=start)
-    await ethernetip.poke(restless=[{"tag": FLAGS, "bits": 0x40}])
-    before = await ethernetip.image()
+    await ethernetip.device.poke(tag=FLAGS, value=start)
+    await ethernetip.device.poke(restless=[{"tag": FLAGS, "bits": 0x40}])
+    before = await ethernetip.device.image()
     reply = await ethernetip.call("write_tag", tag=f"{FLAGS}.3", value=True, type="BOOL")
-    after = await ethernetip.image()
-    await ethernetip.poke(restless=[])
+    after = await ethernetip.device.image()
+    await ethernetip.device.poke(restless=[])
     run.succeeds(reply, value=True)
     turned = 0x40 if oracle.changes_of_restless_bits(after) % 2 else 0
     run.witnessed(
@@ -277,12 +277,12 @@ async def connections_do_not_grow(run: Repetition, ethernetip: Rig) -> None:
     Why: a controller has few connections, and those that are forgotten lock everybody else out.
     """
     value = run.rng.choice(DINT_RANGE)
-    await ethernetip.poke(tag=TARGET, value=value)
+    await ethernetip.device.poke(tag=TARGET, value=value)
     run.succeeds(await ethernetip.call("read_tag", tag=TARGET), value=value)
-    before: Image = await ethernetip.image()
+    before: Image = await ethernetip.device.image()
     for _ in range(MANY_CALLS):
         run.succeeds(await ethernetip.call("read_tag", tag=TARGET), value=value)
-    run.witnessed(oracle.connections_left(await ethernetip.image(), most=before["connections"]))
+    run.witnessed(oracle.connections_left(await ethernetip.device.image(), most=before["connections"]))
 
 
 @connections_do_not_grow.after
@@ -291,9 +291,9 @@ async def connections_are_closed_at_the_end(run: Repetition, ethernetip: Rig) ->
 
     Seen: the CIP connection of the session that has ended is closed by a Forward Close, not left to be forgotten.
     """
-    before: Image = await ethernetip.image()
+    before: Image = await ethernetip.device.image()
     await ethernetip.fresh_session()
-    run.witnessed(oracle.connections_forgotten(await ethernetip.image(), most=before["forgotten"]))
+    run.witnessed(oracle.connections_forgotten(await ethernetip.device.image(), most=before["forgotten"]))
 
 
 @TASKS.task(
@@ -313,7 +313,7 @@ async def set_and_read_the_clock(run: Repetition, ethernetip: Rig) -> None:
     """
     moment = datetime(2031, 1 + run.rep % 12, run.rng.randrange(1, 28), run.rng.randrange(24), 30, tzinfo=UTC)
     wrote = await ethernetip.call("set_clock", time=moment.isoformat())
-    after = await ethernetip.image()
+    after = await ethernetip.device.image()
     read = await ethernetip.call("read_clock")
     run.succeeds(wrote)
     # What the controller's clock shows now may not be that time, which is the fault of the write; the read has to tell it.
@@ -344,10 +344,10 @@ async def read_missing_tag(run: Repetition, ethernetip: Rig) -> None:
     Seen: the read, which the controller refuses with the general status 04 or 05.
     Why: an assistant that gets a zero for a tag that does not exist believes the zero.
     """
-    missing = str(ethernetip.probe("missing_tag"))
+    missing = str(ethernetip.subject.probe("missing_tag"))
     reply = await ethernetip.call("read_tag", tag=missing)
     seen = reply.during(await ethernetip.journal())
-    if not oracle.reached(seen, await ethernetip.image(), [missing]):
+    if not oracle.reached(seen, await ethernetip.device.image(), [missing]):
         run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-002")
         return
     run.fails(reply, "illegal_address", requirement="ERR-002")
@@ -363,7 +363,7 @@ async def what_is_there_can_be_read_and_nothing_follows_the_end(run: Repetition,
     Said: success and the value; then a failure with `illegal_address`, `invalid_input` or `limit_exceeded`.
     """
     value = run.rng.choice(DINT_RANGE)
-    await ethernetip.poke(tag=TARGET, value=value)
+    await ethernetip.device.poke(tag=TARGET, value=value)
     run.succeeds(await ethernetip.call("read_tag", tag=TARGET), value=value)
     beyond = await ethernetip.call("read_array", tag=f"{LEVELS}[9]", count=2)
     run.fails(
@@ -386,12 +386,12 @@ async def write_overflow(run: Repetition, ethernetip: Rig) -> None:
     Seen: no request that changes the controller; it holds what it held.
     Why: 2 to the 40 cut down to 32 bits is 0, a value that nobody asked for.
     """
-    before = await ethernetip.image()
+    before = await ethernetip.device.image()
     reply = await ethernetip.call("write_tag", tag=VALVE, value=2**40, type="DINT")
     run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
     run.witnessed(
         oracle.no_state_changing_request(await ethernetip.journal(), requirement=untold(reply, "ADR-003")),
-        oracle.only_changed(before, await ethernetip.image(), {}, otherwise=untold(reply, "ADR-003")),
+        oracle.only_changed(before, await ethernetip.device.image(), {}, otherwise=untold(reply, "ADR-003")),
     )
 
 
@@ -406,7 +406,7 @@ async def the_largest_value_is_accepted(run: Repetition, ethernetip: Rig) -> Non
     fits = allowed_first(ethernetip, "write_tag", (LARGEST_DINT, 100, 1), _valve)
     reply = await ethernetip.call("write_tag", **_valve(fits))
     run.succeeds(reply, value=fits)
-    image = await ethernetip.image()
+    image = await ethernetip.device.image()
     run.witnessed(
         oracle.exactly_one_write(await ethernetip.journal(), image, VALVE, "DINT", fits),
         oracle.holds(image, {VALVE: fits}),
@@ -428,12 +428,12 @@ async def write_wrong_type(run: Repetition, ethernetip: Rig) -> None:
     Seen: no request that changes the controller; it holds what it held.
     Why: whatever four bytes a text becomes, they are a number that nobody asked for.
     """
-    before = await ethernetip.image()
+    before = await ethernetip.device.image()
     reply = await ethernetip.call("write_tag", tag=VALVE, value="abc", type="DINT")
     run.fails(reply, "type_mismatch", "invalid_input", outcome="not_sent", requirement="ADR-004")
     run.witnessed(
         oracle.no_state_changing_request(await ethernetip.journal(), requirement=untold(reply, "ADR-004")),
-        oracle.only_changed(before, await ethernetip.image(), {}, otherwise=untold(reply, "ADR-004")),
+        oracle.only_changed(before, await ethernetip.device.image(), {}, otherwise=untold(reply, "ADR-004")),
     )
 
 
@@ -453,14 +453,14 @@ async def write_two_tags_of_which_one_is_locked(run: Repetition, ethernetip: Rig
     Why: the answer to a packet of services is a success where one of them was refused: its statuses have to be looked at.
     """
     value = 40 + run.rep
-    await ethernetip.poke(tag=VALVE, value=~value)
-    before = await ethernetip.image()
+    await ethernetip.device.poke(tag=VALVE, value=~value)
+    before = await ethernetip.device.image()
     items = [{"tag_name": VALVE, "value": value}, {"tag_name": LOCKED, "value": value}]
     reply = await ethernetip.call("write_tags", items=items)
     run.fails(reply, "partial_failure", outcome="partial", requirement="ERR-008")
     run.witnessed(
         oracle.refused_with(reply.during(await ethernetip.journal()), PRIVILEGE_VIOLATION),
-        oracle.only_changed(before, await ethernetip.image(), {VALVE: value}),
+        oracle.only_changed(before, await ethernetip.device.image(), {VALVE: value}),
     )
 
 
@@ -479,13 +479,13 @@ async def write_what_is_locked(run: Repetition, ethernetip: Rig) -> None:
     Seen: the controller refuses with the general status 0F, unless nothing was sent; it holds what it held.
     Why: who takes any answer for a confirmation reports a write that the controller has refused.
     """
-    before = await ethernetip.image()
+    before = await ethernetip.device.image()
     reply = await ethernetip.call("write_tag", tag=LOCKED, value=40 + run.rep, type="DINT")
     run.fails(reply, "access_denied", "not_writable", requirement="WR-001", code_requirement="ERR-002")
     seen = reply.during(await ethernetip.journal())
     if oracle.changes_asked_for(seen):
         run.witnessed(oracle.refused_with(seen, PRIVILEGE_VIOLATION))
-    run.witnessed(oracle.only_changed(before, await ethernetip.image(), {}))
+    run.witnessed(oracle.only_changed(before, await ethernetip.device.image(), {}))
 
 
 @TASKS.task(
@@ -505,8 +505,8 @@ async def concurrent_reads(run: Repetition, ethernetip: Rig) -> None:
     """
     values = dict(zip(elements(COUNTS, 4), run.rng.sample(INT_RANGE, 4), strict=True))
     for tag, value in values.items():
-        await ethernetip.poke(tag=tag, value=value)
-    image = await ethernetip.image()
+        await ethernetip.device.poke(tag=tag, value=value)
+    image = await ethernetip.device.image()
     replies = await run.together(*(ethernetip.call("read_tag", tag=tag) for tag in values))
     for reply, value in zip(replies, values.values(), strict=True):
         run.succeeds(reply, value=value)
@@ -535,7 +535,7 @@ async def concurrent_read_and_write(run: Repetition, ethernetip: Rig) -> None:
         lambda: run.rng.sample(DINT_RANGE, 2),
         lambda pair: {"tag": TARGET, "value": pair[1], "type": "DINT"},
     )
-    await ethernetip.poke(tag=TARGET, value=old)
+    await ethernetip.device.poke(tag=TARGET, value=old)
     read, written = await run.together(
         ethernetip.call("read_tag", tag=TARGET),
         ethernetip.call("write_tag", tag=TARGET, value=new, type="DINT"),
@@ -543,7 +543,7 @@ async def concurrent_read_and_write(run: Repetition, ethernetip: Rig) -> None:
     run.succeeds(read)
     run.one_of(read, "value", old, new)
     run.succeeds(written, value=new)
-    image = await ethernetip.image()
+    image = await ethernetip.device.image()
     run.witnessed(
         oracle.exactly_one_write(await ethernetip.journal(), image, TARGET, "DINT", new),
         oracle.holds(image, {TARGET: new}),
@@ -567,8 +567,8 @@ async def rapid_reads(run: Repetition, ethernetip: Rig) -> None:
     """
     values = dict(zip(elements(COUNTS, RAPID_CALLS), run.rng.sample(INT_RANGE, RAPID_CALLS), strict=True))
     for tag, value in values.items():
-        await ethernetip.poke(tag=tag, value=value)
-    image = await ethernetip.image()
+        await ethernetip.device.poke(tag=tag, value=value)
+    image = await ethernetip.device.image()
     asked = []
     for tag, value in values.items():
         reply = await ethernetip.call("read_tag", tag=tag)

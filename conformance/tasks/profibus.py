@@ -56,7 +56,7 @@ def inputs_of(station: int) -> Witness:
 async def set_inputs(run: Repetition, profibus: Rig, station: int) -> list[int]:
     """Set the inputs of a slave at random, past the protocol; return them."""
     content = run.rng.randbytes(INPUTS[station])
-    await profibus.poke(station=station, inputs=content.hex())
+    await profibus.device.poke(station=station, inputs=content.hex())
     return list(content)
 
 
@@ -117,7 +117,7 @@ async def read_inputs(run: Repetition, profibus: Rig) -> None:
     run.witnessed(
         fresh(journal, (reply, inputs_of(VALVES))),
         oracle.no_state_changing_request(journal, requirement="MCP-008"),
-        oracle.holds(await profibus.image(), points(VALVES, "input", bytes(values))),
+        oracle.holds(await profibus.device.image(), points(VALVES, "input", bytes(values))),
     )
 
 
@@ -146,9 +146,9 @@ async def write_outputs(run: Repetition, profibus: Rig) -> None:
     Why: a slave that was not parameterised takes no outputs, whatever was sent; one that gets another number of bytes drops them all.
     """
     values = outputs(run)
-    before = await profibus.image()
+    before = await profibus.device.image()
     reply = await profibus.call("write_outputs", slave=VALVES, data=values)
-    after = await profibus.image()
+    after = await profibus.device.image()
     run.succeeds(reply, values=values)
     run.witnessed(
         oracle.exactly_one_write(await profibus.journal(), station=VALVES, outputs=bytes(values)),
@@ -166,9 +166,9 @@ async def the_outputs_are_kept_alive(run: Repetition, profibus: Rig) -> None:
     """
     values = outputs(run)
     run.succeeds(await profibus.call("write_outputs", slave=VALVES, data=values), values=values)
-    watchdog_s = oracle.watchdog_s(await profibus.image(), VALVES)
+    watchdog_s = oracle.watchdog_s(await profibus.device.image(), VALVES)
     await profibus.watch(KEPT_ALIVE * min(watchdog_s or 0.0, LONGEST_WATCHDOG_S))
-    run.witnessed(oracle.holds(await profibus.image(), points(VALVES, "output", bytes(values))))
+    run.witnessed(oracle.holds(await profibus.device.image(), points(VALVES, "output", bytes(values))))
 
 
 @TASKS.task(
@@ -187,13 +187,13 @@ async def guarded_write(run: Repetition, profibus_ro: Rig) -> None:
     Why: who reads inputs by exchanging data owns the slave, and drives its outputs to zero.
     """
     values = await set_inputs(run, profibus_ro, VALVES)
-    before = await profibus_ro.image()
+    before = await profibus_ro.device.image()
     reply = await profibus_ro.call("write_outputs", slave=VALVES, data=outputs(run))
     run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.succeeds(await profibus_ro.call("read_inputs", slave=VALVES), values=values)
     run.witnessed(
         oracle.nothing_driven(await profibus_ro.journal()),
-        oracle.only_changed(before, await profibus_ro.image(), {}, otherwise="WR-004"),
+        oracle.only_changed(before, await profibus_ro.device.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -234,7 +234,7 @@ async def outputs_depend_on_their_master(run: Repetition, profibus: Rig) -> None
     """
     values = outputs(run)
     run.succeeds(await profibus.call("write_outputs", slave=VALVES, data=values), values=values)
-    image = await profibus.image()
+    image = await profibus.device.image()
     run.witnessed(
         oracle.holds(image, points(VALVES, "output", bytes(values))),
         oracle.has_watchdog(image, VALVES),
@@ -251,12 +251,12 @@ async def outputs_fall_with_their_master(run: Repetition, profibus: Rig) -> None
     """
     values = outputs(run)
     run.succeeds(await profibus.call("write_outputs", slave=VALVES, data=values), values=values)
-    watchdog_s = oracle.watchdog_s(await profibus.image(), VALVES)
+    watchdog_s = oracle.watchdog_s(await profibus.device.image(), VALVES)
     await profibus.fresh_session()
-    if watchdog_s is not None and oracle.cleared(await profibus.image(), VALVES, requirement="MCP-009"):
+    if watchdog_s is not None and oracle.cleared(await profibus.device.image(), VALVES, requirement="MCP-009"):
         # A second more than it takes: the machine may be busy.
         await profibus.wait_for(timeout_s=watchdog_s + 1.0, kind="watchdog", station=VALVES)
-    run.witnessed(oracle.cleared(await profibus.image(), VALVES, requirement="MCP-009"))
+    run.witnessed(oracle.cleared(await profibus.device.image(), VALVES, requirement="MCP-009"))
 
 
 @TASKS.task(
@@ -276,9 +276,9 @@ async def scan_bus(run: Repetition, profibus: Rig) -> None:
     """
     absent = run.rng.choice(STATIONS)
     there = [station for station in STATIONS if station != absent]
-    await profibus.poke(station=absent, present=False)
+    await profibus.device.poke(station=absent, present=False)
     reply = await profibus.call("scan_bus")
-    await profibus.poke(station=absent, present=True)
+    await profibus.device.poke(station=absent, present=True)
     run.succeeds(reply, addresses=there)
     seen = reply.during(await profibus.journal())
     run.witnessed(*(oracle.answered_by(seen, station) for station in there))
@@ -301,7 +301,7 @@ async def read_missing_station(run: Repetition, profibus: Rig) -> None:
     Seen: the request, which nobody answers, or none.
     Why: an assistant that gets zeros from a station that does not exist believes the zeros.
     """
-    missing = profibus.probe("missing_station")
+    missing = profibus.subject.probe("missing_station")
     reply = await profibus.call("read_inputs", slave=missing)
     if oracle.reached(reply.during(await profibus.journal()), missing):
         run.fails(reply, "timeout", requirement="ERR-002")
@@ -318,20 +318,20 @@ async def a_station_that_is_there_can_be_read(run: Repetition, profibus: Rig) ->
     """
     values = await set_inputs(run, profibus, VALVES)
     run.succeeds(await profibus.call("read_inputs", slave=VALVES), values=values)
-    await profibus.fault({"station": VALVES, "action": {"answer_station": DRIVE}})
+    await profibus.device.fault({"station": VALVES, "action": {"answer_station": DRIVE}})
     mixed = await profibus.call("read_inputs", slave=VALVES)
-    await profibus.fault()
+    await profibus.device.fault()
     run.fails(mixed, "protocol_error", "timeout", "connection_lost", requirement="RD-005", code_requirement="ERR-002")
     run.succeeds(await profibus.call("read_inputs", slave=VALVES), values=values)
 
 
 async def _not_sent(run: Repetition, profibus: Rig, data: list[int], *codes: str, requirement: str) -> None:
-    before = await profibus.image()
+    before = await profibus.device.image()
     reply = await profibus.call("write_outputs", slave=VALVES, data=data)
     run.fails(reply, *codes, outcome="not_sent", requirement=requirement)
     run.witnessed(
         oracle.no_state_changing_request(await profibus.journal(), requirement=untold(reply, requirement)),
-        oracle.only_changed(before, await profibus.image(), {}, otherwise=untold(reply, requirement)),
+        oracle.only_changed(before, await profibus.device.image(), {}, otherwise=untold(reply, requirement)),
     )
 
 
@@ -385,7 +385,7 @@ async def the_largest_value_is_accepted(run: Repetition, profibus: Rig) -> None:
     run.succeeds(await profibus.call("write_outputs", slave=VALVES, data=values), values=values)
     run.witnessed(
         oracle.exactly_one_write(await profibus.journal(), station=VALVES, outputs=bytes(values)),
-        oracle.holds(await profibus.image(), points(VALVES, "output", bytes(values))),
+        oracle.holds(await profibus.device.image(), points(VALVES, "output", bytes(values))),
     )
 
 
@@ -405,14 +405,14 @@ async def write_to_anothers_slave(run: Repetition, profibus: Rig) -> None:
     Seen: no change of its output.
     Why: a slave with two masters does what the last one said, and the other one does not know.
     """
-    before = await profibus.image()
+    before = await profibus.device.image()
     reply = await profibus.call("write_outputs", slave=OTHERS, data=[run.rng.randrange(1, 0x100)])
     if oracle.reached(reply.during(await profibus.journal()), OTHERS):
         run.fails(reply, "access_denied", outcome=("not_sent", "rejected"), requirement="ERR-002")
     else:
         codes = ("access_denied", "illegal_address", "config_error")
         run.fails(reply, *codes, outcome="not_sent", requirement="ERR-002")
-    run.witnessed(oracle.only_changed(before, await profibus.image(), {}, otherwise=untold(reply, "ERR-002")))
+    run.witnessed(oracle.only_changed(before, await profibus.device.image(), {}, otherwise=untold(reply, "ERR-002")))
 
 
 @TASKS.task(
@@ -430,12 +430,12 @@ async def write_to_another_device(run: Repetition, profibus: Rig) -> None:
     Seen: no outputs for it.
     Why: a device that was exchanged for one of another kind does something else with the same bytes.
     """
-    await profibus.poke(station=VALVES, ident=f"{run.rng.randrange(0x8000):04x}")
-    before = await profibus.image()
+    await profibus.device.poke(station=VALVES, ident=f"{run.rng.randrange(0x8000):04x}")
+    before = await profibus.device.image()
     values = outputs(run)
     reply = await profibus.call("write_outputs", slave=VALVES, data=values)
-    after = await profibus.image()
-    await profibus.poke(station=VALVES, ident=oracle.IDENT[VALVES])
+    after = await profibus.device.image()
+    await profibus.device.poke(station=VALVES, ident=oracle.IDENT[VALVES])
     run.fails(reply, "config_error", outcome=("not_sent", "rejected"), requirement="ERR-002")
     run.witnessed(
         oracle.no_outputs_sent(
@@ -492,7 +492,7 @@ async def concurrent_read_and_write(run: Repetition, profibus: Rig) -> None:
     run.succeeds(written, values=new)
     run.witnessed(
         oracle.exactly_one_write(await profibus.journal(), station=VALVES, outputs=bytes(new)),
-        oracle.holds(await profibus.image(), points(VALVES, "output", bytes(new))),
+        oracle.holds(await profibus.device.image(), points(VALVES, "output", bytes(new))),
     )
 
 

@@ -52,7 +52,7 @@ def bytes_of(db: int, start: int, size: int) -> Witness:
 
 async def set_bytes(s7: Rig, area: str, byte: int, content: bytes) -> None:
     """Set bytes at the controller past the protocol."""
-    await s7.poke(area=area, byte=byte, data=content.hex())
+    await s7.device.poke(area=area, byte=byte, data=content.hex())
 
 
 @TASKS.task(
@@ -109,7 +109,7 @@ async def read_sensor_block(run: Repetition, s7: Rig) -> None:
     run.witnessed(
         fresh(journal, (reply, bytes_of(PLANT, 0, len(values)))),
         oracle.no_state_changing_request(journal, requirement="MCP-008"),
-        oracle.holds(await s7.image(), points(f"DB{PLANT}", 0, values)),
+        oracle.holds(await s7.device.image(), points(f"DB{PLANT}", 0, values)),
     )
 
 
@@ -141,9 +141,9 @@ async def write_and_read_back(run: Repetition, s7: Rig) -> None:
     written = oracle.content("h", value)
     # Guard bytes on both sides: a write to, or a read from, a neighbouring value cannot pass.
     await set_bytes(s7, BLOCK, 30, oracle.content("3h", ~value, 0, ~value))
-    before = await s7.image()
+    before = await s7.device.image()
     wrote = await s7.call("write_db", db=CLIENTS, start=32, type="INT", value=value)
-    after = await s7.image()
+    after = await s7.device.image()
     read = await s7.call("read_typed", db=CLIENTS, start=32, type="INT")
     run.succeeds(wrote, value=value)
     # What the controller holds now may not be the value, which is the fault of the write; the read has to tell it.
@@ -171,12 +171,12 @@ async def guarded_write(run: Repetition, s7_ro: Rig) -> None:
     Seen: no write, control, stop, download or set clock; the controller holds what it held.
     Why: the write switch is what keeps an assistant's mistake out of the plant.
     """
-    before = await s7_ro.image()
+    before = await s7_ro.device.image()
     reply = await s7_ro.call("write_db", db=CLIENTS, start=0, type="INT", value=999)
     run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.witnessed(
         oracle.no_state_changing_request(await s7_ro.journal()),
-        oracle.only_changed(before, await s7_ro.image(), {}, otherwise="WR-004"),
+        oracle.only_changed(before, await s7_ro.device.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -219,11 +219,11 @@ async def write_one_bit(run: Repetition, s7: Rig) -> None:
     """
     start = run.rng.randrange(0x100) & ~0x20
     await set_bytes(s7, "M", 3, bytes([start]))
-    await s7.poke(restless=[{"area": "M", "byte": 3, "bits": 0x40}])
-    before = await s7.image()
+    await s7.device.poke(restless=[{"area": "M", "byte": 3, "bits": 0x40}])
+    before = await s7.device.image()
     reply = await s7.call("write_marker", byte=3, bit=5, value=True)
-    after = await s7.image()
-    await s7.poke(restless=[])
+    after = await s7.device.image()
+    await s7.device.poke(restless=[])
     run.succeeds(reply, value=True)
     turned = 0x40 if oracle.changes_of_restless_bits(after) % 2 else 0
     run.witnessed(
@@ -247,9 +247,9 @@ async def read_operating_state(run: Repetition, s7: Rig) -> None:
     Seen: the controller answers a request during each call.
     Why: a client that says RUN whatever the controller answers hides that nothing is controlled any more.
     """
-    await s7.poke(cpu="STOP")
+    await s7.device.poke(cpu="STOP")
     stopped = await s7.call("read_cpu_state")
-    await s7.poke(cpu="RUN")
+    await s7.device.poke(cpu="RUN")
     running = await s7.call("read_cpu_state")
     run.succeeds(stopped, state="STOP")
     run.succeeds(running, state="RUN")
@@ -272,11 +272,11 @@ async def stop_and_start(run: Repetition, s7: Rig) -> None:
     Why: a command that was acknowledged and not carried out leaves a machine running that everybody believes to stand.
     """
     stopped = await s7.call("set_cpu_state", state="STOP")
-    halted = await s7.image()
+    halted = await s7.device.image()
     started = await s7.call("set_cpu_state", state="RUN")
-    after = await s7.image()
+    after = await s7.device.image()
     # A CPU that has not been started again would stay so for all items that follow.
-    await s7.poke(cpu="RUN")
+    await s7.device.poke(cpu="RUN")
     run.succeeds(stopped, state="STOP")
     run.succeeds(started, state="RUN")
     journal = await s7.journal()
@@ -305,7 +305,7 @@ async def read_missing_block(run: Repetition, s7: Rig) -> None:
     Seen: the read, which the controller refuses with the return code 0A.
     Why: an assistant that gets a zero for a data block that does not exist believes the zero.
     """
-    missing = s7.probe("missing_db")
+    missing = s7.subject.probe("missing_db")
     reply = await s7.call("read_typed", db=missing, start=0, type="INT")
     seen = reply.during(await s7.journal())
     if not oracle.reached(seen, db=missing, start=0, size=2):
@@ -346,12 +346,12 @@ async def write_overflow(run: Repetition, s7: Rig) -> None:
     Seen: no request that changes the controller; it holds what it held.
     Why: 70000 cut down to 16 bits is 4464, a value that nobody asked for.
     """
-    before = await s7.image()
+    before = await s7.device.image()
     reply = await s7.call("write_db", db=CLIENTS, start=0, type="INT", value=70000)
     run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
     run.witnessed(
         oracle.no_state_changing_request(await s7.journal(), requirement=untold(reply, "ADR-003")),
-        oracle.only_changed(before, await s7.image(), {}, otherwise=untold(reply, "ADR-003")),
+        oracle.only_changed(before, await s7.device.image(), {}, otherwise=untold(reply, "ADR-003")),
     )
 
 
@@ -367,7 +367,7 @@ async def the_largest_value_is_accepted(run: Repetition, s7: Rig) -> None:
     largest = oracle.content("h", 32767)
     run.witnessed(
         oracle.exactly_one_write(await s7.journal(), db=CLIENTS, start=0, written=largest),
-        oracle.holds(await s7.image(), points(BLOCK, 0, largest)),
+        oracle.holds(await s7.device.image(), points(BLOCK, 0, largest)),
     )
 
 
@@ -386,12 +386,12 @@ async def write_wrong_type(run: Repetition, s7: Rig) -> None:
     Seen: no request that changes the controller; it holds what it held.
     Why: whatever four bytes a text becomes, they are a number that nobody asked for.
     """
-    before = await s7.image()
+    before = await s7.device.image()
     reply = await s7.call("write_db", db=CLIENTS, start=8, type="REAL", value="abc")
     run.fails(reply, "type_mismatch", "invalid_input", outcome="not_sent", requirement="ADR-004")
     run.witnessed(
         oracle.no_state_changing_request(await s7.journal(), requirement=untold(reply, "ADR-004")),
-        oracle.only_changed(before, await s7.image(), {}, otherwise=untold(reply, "ADR-004")),
+        oracle.only_changed(before, await s7.device.image(), {}, otherwise=untold(reply, "ADR-004")),
     )
 
 
@@ -412,9 +412,9 @@ async def read_what_is_not_permitted(run: Repetition, s7: Rig) -> None:
     """
     value = run.rng.choice(INT_RANGE)
     await set_bytes(s7, BLOCK, 40, oracle.content("h", value))
-    await s7.poke(put_get=False)
+    await s7.device.poke(put_get=False)
     refused = await s7.call("read_typed", db=CLIENTS, start=40, type="INT")
-    await s7.poke(put_get=True)
+    await s7.device.poke(put_get=True)
     read = await s7.call("read_typed", db=CLIENTS, start=40, type="INT")
     run.fails(refused, "access_denied", "unsupported_operation", requirement="RD-005", code_requirement="ERR-002")
     run.succeeds(read, value=value)
@@ -478,7 +478,7 @@ async def concurrent_read_and_write(run: Repetition, s7: Rig) -> None:
     run.succeeds(written, value=new)
     run.witnessed(
         oracle.exactly_one_write(await s7.journal(), db=CLIENTS, start=12, written=oracle.content("i", new)),
-        oracle.holds(await s7.image(), points(BLOCK, 12, oracle.content("i", new))),
+        oracle.holds(await s7.device.image(), points(BLOCK, 12, oracle.content("i", new))),
     )
 
 

@@ -14,19 +14,19 @@ __all__ = ["guarded", "read", "write"]
 
 async def read(run: Repetition, toy: Rig) -> None:
     value = run.rng.randrange(1, 1000)
-    await toy.poke(address=3, value=value)
+    await toy.device.poke(address=3, value=value)
     run.succeeds(await toy.call("read", address=3), value=value)
     journal = await toy.journal()
     run.witnessed(
         WITNESS.was_asked(journal, "register 3", lambda asked: any(has(one, kind="read", address=3) for one in asked)),
         WITNESS.nothing_changed(journal),
-        WITNESS.holds(await toy.image(), {"3": value}),
+        WITNESS.holds(await toy.device.image(), {"3": value}),
     )
 
 
 async def write(run: Repetition, toy: Rig) -> None:
     value = 40 + run.rep
-    before = await toy.image()
+    before = await toy.device.image()
     run.succeeds(await toy.call("write", address=1, value=value), value=value)
     journal = await toy.journal()
 
@@ -37,19 +37,19 @@ async def write(run: Repetition, toy: Rig) -> None:
     run.witnessed(
         WITNESS.exactly_one_write(journal, f"write of {value} to 1", problem),
         WITNESS.no_duplicates(journal, identity=lambda entry: (entry["address"], entry["value"])),
-        WITNESS.only_changed(before, await toy.image(), {"1": value}),
+        WITNESS.only_changed(before, await toy.device.image(), {"1": value}),
     )
 
 
 async def guarded(run: Repetition, toy_ro: Rig | None) -> None:
     if toy_ro is None:
         return
-    before = await toy_ro.image()
+    before = await toy_ro.device.image()
     run.fails(await toy_ro.call("write", address=1, value=999), "writes_disabled")
     run.succeeds(await toy_ro.call("read", address=1))
     await toy_ro.close_session()
     run.witnessed(
         WITNESS.answered(await toy_ro.journal()),
         WITNESS.nothing_changed((await toy_ro.follow(StateChanges)).first),
-        WITNESS.only_changed(before, await toy_ro.image(), {}),
+        WITNESS.only_changed(before, await toy_ro.device.image(), {}),
     )
