@@ -108,7 +108,11 @@ def different_bytes(rng: random.Random, form: str) -> list[int]:
     return [struct.unpack(form, bytes(rng.randrange(low, low + 80) for _ in range(4)))[0] for low in (1, 81, 161)]
 
 
-def _nothing(value: Any) -> Mapping[str, object]:
+def _no_pokes(value: Any) -> tuple[Poke, ...]:
+    return ()
+
+
+def _no_points(value: Any) -> Mapping[str, object]:
     return {}
 
 
@@ -118,7 +122,7 @@ class Point:
 
     Attributes:
         kind: type of the value.
-        pokes: returns what sets a value at the mock.
+        pokes: returns what sets a value at the mock, past the protocol; nothing where it would not stay.
         held: returns what the image holds then, by point.
         found: returns the value that an image holds.
         reading, writing: operation and inputs of a read and of a write; None where there is none.
@@ -129,8 +133,8 @@ class Point:
     """
 
     kind: Kind
-    pokes: Callable[[Any], tuple[Poke, ...]]
-    held: Callable[[Any], Mapping[str, object]] = _nothing
+    pokes: Callable[[Any], tuple[Poke, ...]] = _no_pokes
+    held: Callable[[Any], Mapping[str, object]] = _no_points
     found: Callable[[Image], Any] | None = None
     reading: Call | None = None
     writing: Call | None = None
