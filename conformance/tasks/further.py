@@ -163,12 +163,11 @@ class Further(Tasks):
         """Return the image by which requests are understood."""
         return await at.image() if self._resolves else {}
 
-    async def sees_and_holds(self, run: Repetition, at: Rig, asked: Asked, *further: Judge) -> None:
+    async def sees_and_holds(self, run: Repetition, at: Rig, asked: Asked, judge: Judge | None = None) -> None:
         """Expect that the device saw the one write, and holds it."""
         image = await self.names(at)
-        journal = await at.journal()
-        found = [judge(journal, image, asked) for judge in (self.one_write, *further)]
-        run.witnessed(*found, self.witness.holds(image or await at.image(), asked.points))
+        found = (judge or self.one_write)(await at.journal(), image, asked)
+        run.witnessed(found, self.witness.holds(image or await at.image(), asked.points))
 
     def seen(self, journal: Entries, image: Image, *asked: tuple[Reply, Asked]) -> list[Finding]:
         """Expect that each call made the device see what it asks for."""
@@ -271,14 +270,14 @@ def reads_back(
     write: Of[Asked],
     read: Callable[[Image], Asked] | None = None,
     facet: str | None = None,
-    further: Judge | None = None,
+    judge: Judge | None = None,
 ) -> Task:
     """Declare the item that writes a value and reads it back.
 
     Args:
         read: the read, from what the device holds then; None where outputs cannot be read.
         facet: without it nothing is read.
-        further: judges the write as well.
+        judge: of the write; None is that of the protocol.
     """
 
     @of.item(id, "normal", title, needs=needs, capability="writing", requirements="WR-001 WR-002 WR-003")
@@ -302,8 +301,7 @@ def reads_back(
             run.succeeds(reply, **reading.outputs)
         journal = await at.journal()
         run.witnessed(
-            of.one_write(journal, after, asked),
-            further(journal, after, asked) if further else [],
+            (judge or of.one_write)(journal, after, asked),
             of.seen(journal, after, (reply, reading)) if reply and reading else [],
             of.witness.only_changed(before, after, asked.points),
         )
@@ -561,13 +559,13 @@ def beside(
     *,
     needs: str,
     make: Of[Contended],
-    further: Judge | None = None,
+    judge: Judge | None = None,
 ) -> Task:
     """Declare the item that reads and writes at the same time.
 
     Args:
         make: a read and one write. A read that has outputs is of something else, and has them whatever is written.
-        further: judges the write as well.
+        judge: of the write; None is that of the protocol.
     """
 
     @of.item(id, "stress", title, needs=needs, capability="load", requirements="CON-004 WR-003")
@@ -589,7 +587,7 @@ def beside(
         if not pair.read.outputs:
             run.one_of(read, pair.output, pair.old, *pair.new)
         run.succeeds(written, **asked.outputs)
-        await of.sees_and_holds(run, at, asked, *([further] if further else []))
+        await of.sees_and_holds(run, at, asked, judge)
 
     return steps
 
