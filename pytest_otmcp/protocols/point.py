@@ -227,7 +227,7 @@ class Point:
 
             def shown(outputs: Mapping[str, object], entries: Entries) -> int:
                 found = outputs.get(self.output)
-                if self.listed and isinstance(found, list) and len(found) == 1:
+                if isinstance(found, list) and len(found) == 1 and not isinstance(value, list):
                     (found,) = found
                 if same is not None:
                     return same(found, value)
