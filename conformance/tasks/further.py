@@ -17,8 +17,9 @@ from typing import Any, Protocol, TypeVar
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked, Contended
-from pytest_otmcp.protocols.journal import Entries, Image
-from pytest_otmcp.protocols.oracle import Witness
+from pytest_otmcp.protocols.journal import Entries, Image, JournalEntry
+from pytest_otmcp.protocols.oracle import Witness, has
+from pytest_otmcp.protocols.point import Point
 from pytest_otmcp.protocols.protocol import GUARD
 from pytest_otmcp.protocols.session_oracle import StateChanges
 from pytest_otmcp.trial.check import Generic, on_protocol
@@ -30,6 +31,7 @@ from pytest_otmcp.trial.task import Task, Tasks
 from .common import (
     NOTHING_SENT,
     QUIET_S,
+    RAPID_CALLS,
     a_delay_shows,
     a_failed_write_is_not_made_up_for,
     a_meaningless_switch_enables_nothing,
@@ -64,6 +66,7 @@ __all__ = [
     "restart",
     "set_up",
     "there",
+    "usual",
 ]
 
 T = TypeVar("T")
@@ -89,8 +92,9 @@ class Further(Tasks):
     Args:
         protocol: its key.
         witness: the judge of what its device sees and holds.
-        was_read: expects that the device was asked for what a call reads.
-        one_write: expects that the device saw one request that changes the plant: what a call writes.
+        was_read: expects that the device was asked for what a call reads. None where the kinds and the members of the journal's entries
+            are named like the protocol's operations and their inputs.
+        one_write: expects that the device saw one request that changes the plant: what a call writes; None as for ``was_read``.
         resolves: a request may name its target by a number that only the device's image explains.
         device: the device in words, such as ``the controller``.
     """
@@ -100,16 +104,16 @@ class Further(Tasks):
         protocol: str,
         *,
         witness: Witness,
-        was_read: Judge,
-        one_write: Judge,
+        was_read: Judge | None = None,
+        one_write: Judge | None = None,
         resolves: bool = False,
         device: str | None = None,
     ) -> None:
         super().__init__()
         self.protocol = protocol
         self.witness = witness
-        self.was_read = was_read
-        self.one_write = one_write
+        self.was_read = was_read or self._was_read
+        self.one_write = one_write or self._one_write
         self.device = device or witness.noun
         self._resolves = resolves
 
@@ -158,6 +162,19 @@ class Further(Tasks):
     def _told(self, steps: Generic, adapter: str, *launches: str) -> Any:
         steps.__doc__ = (steps.__doc__ or "").format(device=self.device)
         return on_protocol(adapter, steps, launches)
+
+    def _was_read(self, entries: Entries, image: Image, asked: Asked) -> list[Finding]:
+        wanted = {"kind": asked.operation, **asked.inputs}
+        what = ", ".join(map(str, wanted.values()))
+        return self.witness.was_asked(entries, what, lambda found: any(has(one, **wanted) for one in found))
+
+    def _one_write(self, entries: Entries, image: Image, asked: Asked) -> list[Finding]:
+        wanted = {"kind": asked.operation, **asked.inputs}
+
+        def problem(entry: JournalEntry) -> tuple[str, str] | None:
+            return None if has(entry, **wanted) else ("WR-001", f"it saw {self.witness.describe(entry)}")
+
+        return self.witness.exactly_one_write(entries, ", ".join(map(str, wanted.values())), problem)
 
     async def names(self, at: Rig) -> Image:
         """Return the image by which requests are understood."""
@@ -685,3 +702,46 @@ def recovery(of: Further, title: str) -> Task:
         await start_without_device(run, at)
 
     return steps
+
+
+def usual(of: Further, letter: str, *, sensors: Sequence[Point], target: Point) -> None:
+    """Declare, with plain titles, the items for which points that are read and one that is written are enough: T1 to T3 and ST1 to ST3 for
+    the letter T.
+
+    Args:
+        sensors: two points or more, which hold whole numbers; the target is none of them.
+        target: is read and written by an operation each.
+    """
+    reading, writing = target.reads().operation, target.writes(None).operation
+    both, read = f"{writing} {reading}", sensors[0]
+
+    def many(run: Repetition, count: int) -> list[Asked]:
+        known = [point.any(run.rng) for point in sensors]
+        return [known[index % len(known)] for index in range(count)]
+
+    reads(of, f"{letter}1", "Read values.", needs=reading, make=lambda run: many(run, len(sensors)))
+    reads_back(
+        of,
+        f"{letter}2",
+        "Write a value and read it back for verification.",
+        needs=both,
+        write=lambda run: target.write(40 + run.rep),
+        read=target.read_again,
+    )
+    guard(
+        of,
+        f"{letter}3",
+        "Attempt a write with writes disabled and expect a guarded rejection.",
+        needs=both,
+        write=lambda run: target.write(99),
+        read=lambda run: read.reads(),
+    )
+    four_at_once(of, f"S{letter}1", "Four concurrent reads.", needs=reading, make=lambda run: many(run, 4))
+    beside(
+        of,
+        f"S{letter}2",
+        "Concurrent read and write of one value.",
+        needs=both,
+        make=lambda run: target.contended(*run.rng.sample(range(100, 128), 2)),
+    )
+    rapid(of, f"S{letter}3", "Fifty reads in a row.", needs=reading, make=lambda run: many(run, RAPID_CALLS))
