@@ -20,8 +20,8 @@ MODULES_APART = (f"{__name__}.cross",)
 
 
 def modules() -> tuple[str, ...]:
-    """Return the dotted names of all modules that declare tasks, in the order of tables and figures."""
-    return (*(protocol.tasks for protocol in protocols().values()), *MODULES_APART)
+    """Return the dotted names of all modules that declare tasks, in the order of tables and figures. Protocols may share one."""
+    return (*dict.fromkeys(protocol.tasks for protocol in protocols().values()), *MODULES_APART)
 
 
 def tasks(suite: str | None = None) -> list[Task]:

@@ -5,91 +5,71 @@ Each function is one repetition, as in :mod:`.modbus`. Values are halves, which 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
+from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.bacnet import oracle
 from pytest_otmcp.protocols.bacnet.entries import Target
-from pytest_otmcp.protocols.session_oracle import StateChanges
+from pytest_otmcp.protocols.bacnet.points import (
+    DEVICE,
+    LEVEL,
+    PRIORITY,
+    SETPOINT,
+    SUPPLY,
+    VALVE,
+    ZONE,
+    positive_half,
+    setting,
+    value_of,
+)
+from pytest_otmcp.protocols.exercise import Asked, Contended
+from pytest_otmcp.protocols.journal import Entries, Image
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
-from pytest_otmcp.trial.task import Tasks
 
-from .common import (
-    CONNECTION_FAULTS,
-    NOTHING_SENT,
-    QUIET_S,
-    RAPID_CALLS,
-    Witness,
-    a_delay_shows,
-    a_failed_write_is_not_made_up_for,
-    a_meaningless_switch_enables_nothing,
-    drawn,
-    ends_when_its_stdin_closes,
-    fresh,
-    outage,
-    start_without_device,
-    status_is_known,
-    survive_a_restart,
-    untold,
-)
+from . import further
+from .common import CONNECTION_FAULTS, QUIET_S, RAPID_CALLS, a_delay_shows, untold
 
 __all__ = ["TASKS"]
 
-TASKS = Tasks()
-
-DEVICE = 12345
 SILENT_DEVICE = 54321
-ZONE, SUPPLY = ("analog-input", 1), ("analog-input", 2)
-VALVE, SETPOINT, LEVEL, FAN = ("analog-output", 1), ("analog-value", 2), ("analog-value", 9), ("binary-output", 1)
-PRIORITY, OTHER_PRIORITY = 8, 5
+FAN = ("binary-output", 1)
+OTHER_PRIORITY = 5
 UNKNOWN_OBJECT, VALUE_OUT_OF_RANGE, WRITE_ACCESS_DENIED = (1, 31), (2, 37), (2, 40)
 
 
-def at(target: Target) -> dict[str, Any]:
-    """Return the inputs that name an object."""
-    return {"device": DEVICE, "type": target[0], "instance": target[1]}
+def target_of(asked: Asked) -> Target:
+    """Return the object that a call is about."""
+    return str(asked.inputs["type"]), int(asked.inputs["instance"])
 
 
-def written(target: Target, value: float | None, priority: int = PRIORITY) -> dict[str, Any]:
-    """Return the inputs of a write."""
-    return {**at(target), "value": value, "priority": priority}
+def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
+    """Expect that the device was asked for the present value that a call reads."""
+    return oracle.read_from_device(entries, target_of(asked))
 
 
-def read_of(target: Target) -> Witness:
-    """Return the check that the device was asked for this object's present value."""
-    return partial(oracle.read_from_device, target=target)
+def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
+    """Expect that the device saw the one write of a call, at whichever priority."""
+    return oracle.exactly_one_write(entries, target_of(asked), "real", asked.inputs["value"])
 
 
-def half(run: Repetition) -> float:
-    """Return a random value that a REAL holds exactly."""
-    return run.rng.randrange(2**20) + 0.5
+def at_its_priority(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
+    """Expect that the device saw the one write of a call, at the priority that was asked for."""
+    value, priority = asked.inputs["value"], asked.inputs["priority"]
+    kind = "null" if value is None else "real"
+    return oracle.exactly_one_write(entries, target_of(asked), kind, value, priority=priority)
 
 
-async def hold(rig: Rig, target: Target, value: float | None, priority: int | None = None) -> None:
-    """Set a present value at the device, or a slot of its priority array."""
-    slot = {} if priority is None else {"priority": priority}
-    await rig.device.poke(object=f"{target[0]},{target[1]}", value=value, **slot)
+TASKS = further.Further("bacnet", witness=oracle.WITNESS, was_read=was_read, one_write=one_write)
 
 
-@TASKS.task(
-    "B1",
-    "normal",
-    "Ping the adapter and confirm that the BACnet device answers.",
-    needs="bacnet.ping",
-    capability="reading",
-    requirements="REC-002 MCP-008",
-)
-async def ping(run: Repetition, bacnet: Rig) -> None:
-    """Ask whether the device can be reached.
+def valve(value: float | None) -> Asked:
+    """Return the write of the valve."""
+    return value_of(VALVE).write(value)
 
-    Said: success, and that it can be reached.
-    Seen: the device answers at least one request during the call: a Who-Is or a read.
-    Why: a status from memory still says so when the plant is gone, and a datagram that was sent proves nothing.
-    """
-    reply = await bacnet.call("ping")
-    run.succeeds(reply, reachable=True)
-    await status_is_known(run, bacnet, oracle.some_exchange, reply)
+
+ping = further.ping(TASKS, "B1", "Ping the adapter and confirm that the BACnet device answers.")
 
 
 @ping.after
@@ -104,7 +84,7 @@ async def a_slow_device_is_reported_as_slow(run: Repetition, bacnet: Rig) -> Non
         found = await bacnet.call("discover")
         if run.succeeds(found):
             run.judge(found, oracle.invented(found.outputs.get("devices"), DEVICE))
-    reply = await bacnet.call("read", **{**at(ZONE), "device": SILENT_DEVICE})
+    reply = await bacnet.call("read", **{**value_of(ZONE).reads().inputs, "device": SILENT_DEVICE})
     run.fails(reply, *CONNECTION_FAULTS, "illegal_address", "gateway_target_no_response", requirement="ADR-001")
 
 
@@ -123,104 +103,51 @@ async def read_present_values(run: Repetition, bacnet: Rig) -> None:
     Seen: a read of each of these present values, and nothing that changes the plant.
     Why: values from memory or from a neighbour look right until somebody acts on them.
     """
-    zone, supply, setpoint = (half(run) for _ in range(3))
-    fan = run.rng.randrange(2)
-    for target, value in ((ZONE, zone), (SUPPLY, supply)):
-        await hold(bacnet, target, value)
-    await hold(bacnet, SETPOINT, setpoint, PRIORITY)
-    await hold(bacnet, FAN, fan, PRIORITY)
-    replies = [(await bacnet.call("read", **at(target)), target) for target in (ZONE, SUPPLY, SETPOINT, FAN)]
-    for (reply, _), value in zip(replies[:3], (zone, supply, setpoint), strict=True):
-        run.succeeds(reply, value=value)
+    points = (value_of(ZONE), value_of(SUPPLY), value_of(SETPOINT, slot=PRIORITY))
+    numbers = [point.read(positive_half(run.rng)) for point in points]
+    state = run.rng.randrange(2)
+    fan = value_of(FAN, slot=PRIORITY).read(state)
+    await further.set_up(bacnet, *numbers, fan)
+    replies = [await further.call(bacnet, asked) for asked in (*numbers, fan)]
+    for reply, asked in zip(replies[:3], numbers, strict=True):
+        run.succeeds(reply, **asked.outputs)
     # The standard has numbers and names for the states.
-    if run.succeeds(replies[3][0]):
-        run.one_of(replies[3][0], "value", fan, ("inactive", "active")[fan], bool(fan), requirement="RD-001")
+    if run.succeeds(replies[3]):
+        run.one_of(replies[3], "value", state, ("inactive", "active")[state], bool(state), requirement="RD-001")
     journal = await bacnet.journal()
     run.witnessed(
-        fresh(journal, *((reply, read_of(target)) for reply, target in replies)),
+        TASKS.seen(journal, {}, *zip(replies, (*numbers, fan), strict=True)),
         oracle.no_state_changing_request(journal, requirement="MCP-008"),
     )
 
 
-@read_present_values.after
-async def the_process_ends_with_its_stdin(run: Repetition, bacnet: Rig) -> None:
-    """End the session.
-
-    Seen: the process ends by itself.
-    """
-    await ends_when_its_stdin_closes(bacnet)
+further.ends_with_its_stdin(TASKS, read_present_values)
 
 
-@TASKS.task(
+def raised(run: Repetition) -> Asked:
+    """Return the command of the valve at priority 8, which then holds it there."""
+    asked = valve(40.5 + run.rep)
+    return replace(asked, points={**asked.points, oracle.slot(VALVE, PRIORITY): asked.inputs["value"]})
+
+
+further.reads_back(
+    TASKS,
     "B3",
-    "normal",
     "Command a valve at priority 8 and read it back.",
-    needs="bacnet.write bacnet.write.priority bacnet.read",
-    capability="writing",
-    requirements="WR-001 WR-002 WR-003",
+    needs="write write.priority read",
+    write=raised,
+    read=value_of(VALVE).read_again,
+    judge=at_its_priority,
 )
-async def command_and_read_back(run: Repetition, bacnet: Rig) -> None:
-    """Write an analog output at priority 8, and read it.
 
-    Said: the value, in both answers.
-    Seen: one write of this REAL at this priority; the slot and the present value hold it, every other slot and object stays as it was.
-    Why: a write without its priority takes the plant out of the hands of its operators, or stays without effect.
-    """
-    value = 40.5 + run.rep
-    before = await bacnet.device.image()
-    reply = await bacnet.call("write", **written(VALVE, value))
-    after = await bacnet.device.image()
-    read = await bacnet.call("read", **at(VALVE))
-    run.succeeds(reply, value=value)
-    run.succeeds(read, value=oracle.held(after, VALVE))
-    journal = await bacnet.journal()
-    run.witnessed(
-        oracle.exactly_one_write(journal, VALVE, "real", value, priority=PRIORITY),
-        oracle.only_changed(before, after, {oracle.present(VALVE): value, oracle.slot(VALVE, PRIORITY): value}),
-    )
-
-
-@TASKS.task(
+further.guard(
+    TASKS,
     "B4",
-    "normal",
     "Attempt a write with writes disabled and expect a guarded rejection.",
-    needs="bacnet.write bacnet.read bacnet.guard",
-    capability="write_protection",
-    requirements="WR-004 WR-005 ERR-006",
+    needs="write read",
+    write=lambda run: valve(99.5),
+    read=lambda run: value_of(ZONE).reads(),
 )
-async def guarded_write(run: Repetition, bacnet_ro: Rig) -> None:
-    """Write an analog output through the adapter that was started with writes disabled.
-
-    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
-    Seen: no service that changes the device, no time synchronization; the device holds what it held.
-    Why: the write switch is what keeps an assistant's mistake out of the plant.
-    """
-    before = await bacnet_ro.device.image()
-    reply = await bacnet_ro.call("write", **written(VALVE, 99.5))
-    run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
-    run.witnessed(
-        oracle.no_state_changing_request(await bacnet_ro.journal()),
-        oracle.only_changed(before, await bacnet_ro.device.image(), {}, otherwise="WR-004"),
-    )
-
-
-@guarded_write.after
-async def the_guard_was_put_to_the_test(run: Repetition, bacnet: Rig, bacnet_ro: Rig) -> None:
-    """Read with writes disabled, and write the same value with writes enabled: both must work, or the refusal proves
-    nothing. Then write through the adapter that was started with a write switch that means nothing.
-
-    Said: a refusal with `writes_disabled` and the outcome `not_sent`, unless the adapter refuses to start so.
-    Seen: over the whole life of the read-only sessions, their end included, nothing that changes the plant.
-    """
-    run.succeeds(await bacnet_ro.call("read", **at(ZONE)))
-    run.succeeds(await bacnet.call("write", **written(VALVE, 99.5)), value=99.5)
-    run.witnessed(
-        oracle.some_exchange(await bacnet_ro.journal()),
-        oracle.exactly_one_write(await bacnet.journal(), VALVE, "real", 99.5),
-    )
-    await bacnet_ro.close_session()
-    run.witnessed(oracle.nothing_changed_by(await bacnet_ro.follow(StateChanges)))
-    await a_meaningless_switch_enables_nothing(run, bacnet_ro, "write", **written(VALVE, 99.5))
 
 
 @TASKS.task(
@@ -239,16 +166,17 @@ async def a_higher_priority_wins(run: Repetition, bacnet: Rig) -> None:
     Why: the device says yes and nothing moves; an assistant that believes it goes on with a plant that is not there.
     """
     kept, value = run.rng.sample(range(1000), 2)
-    await hold(bacnet, VALVE, kept + 0.5, OTHER_PRIORITY)
+    await bacnet.device.poke(**setting(VALVE, kept + 0.5, OTHER_PRIORITY))
     before = await bacnet.device.image()
-    reply = await bacnet.call("write", **written(VALVE, value + 0.5))
+    asked = valve(value + 0.5)
+    reply = await further.call(bacnet, asked)
     after = await bacnet.device.image()
     if not reply.success:
         run.fails(reply, "verify_failed", outcome="applied", requirement="WR-001")
     elif reply.outputs.get("value") != kept + 0.5:
         run.judge(reply, [oracle.not_effective(reply.outputs.get("value"), kept + 0.5, reply.label)])
     run.witnessed(
-        oracle.exactly_one_write(await bacnet.journal(), VALVE, "real", value + 0.5, priority=PRIORITY),
+        at_its_priority(await bacnet.journal(), {}, asked),
         oracle.only_changed(before, after, {oracle.slot(VALVE, PRIORITY): value + 0.5}),
     )
 
@@ -268,13 +196,14 @@ async def relinquish(run: Repetition, bacnet: Rig) -> None:
     Seen: one write of NULL at this priority; the slot is empty, the present value is that of the next slot.
     Why: a command that nobody gives up overrides the plant's own control for ever.
     """
-    lower = half(run)
-    await hold(bacnet, VALVE, lower, 16)
-    await hold(bacnet, VALVE, lower + 1, PRIORITY)
+    lower = positive_half(run.rng)
+    for priority, value in ((16, lower), (PRIORITY, lower + 1)):
+        await bacnet.device.poke(**setting(VALVE, value, priority))
     before = await bacnet.device.image()
-    run.succeeds(await bacnet.call("write", **written(VALVE, None)))
+    asked = valve(None)
+    run.succeeds(await further.call(bacnet, asked))
     run.witnessed(
-        oracle.exactly_one_write(await bacnet.journal(), VALVE, "null", None, priority=PRIORITY),
+        at_its_priority(await bacnet.journal(), {}, asked),
         oracle.only_changed(
             before,
             await bacnet.device.image(),
@@ -283,57 +212,35 @@ async def relinquish(run: Repetition, bacnet: Rig) -> None:
     )
 
 
-@TASKS.task(
+missing = further.missing(
+    TASKS,
     "FB1",
-    "fault",
     "Read an object that the device does not have (analog-input 77).",
-    needs="bacnet.read",
-    capability="refusing",
-    requirements="ERR-002 ENV-007 RD-005",
-    keys="bacnet.probes.missing_instance",
+    needs="read",
+    key="missing_instance",
+    make=lambda instance: value_of(("analog-input", int(instance))).reads(),
+    reached=lambda entries, image, asked: oracle.reached(entries, target_of(asked)),
+    refused=lambda entries: oracle.refused_with(entries, *UNKNOWN_OBJECT),
+    trace=dict(zip(("error_class", "error_code"), UNKNOWN_OBJECT, strict=True)),
+    partly=False,
 )
-async def read_missing_object(run: Repetition, bacnet: Rig) -> None:
-    """Read an analog input that the device does not have.
-
-    Said: a failure with `illegal_address`, and the device's error in the trace. An adapter that refuses by a list of objects of its
-        own may also say `invalid_input`; nothing was sent then.
-    Seen: the read, which the device refuses with unknown-object.
-    Why: an assistant that gets a zero for an object that does not exist believes the zero.
-    """
-    target = ("analog-input", int(str(bacnet.subject.probe("missing_instance"))))
-    reply = await bacnet.call("read", **at(target))
-    seen = reply.during(await bacnet.journal())
-    if not oracle.reached(seen, target):
-        run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-002")
-        return
-    error_class, error_code = UNKNOWN_OBJECT
-    trace = {"error_class": error_class, "error_code": error_code}
-    run.fails(reply, "illegal_address", trace=trace, requirement="ERR-002")
-    run.witnessed(oracle.refused_with(seen, error_class, error_code))
 
 
-@read_missing_object.after
+@missing.after
 async def an_object_that_is_there_can_be_read(run: Repetition, bacnet: Rig) -> None:
     """Read an object that is there; then while the device answers about another object.
 
     Said: success, and the value; then no value of the other object as the one that was asked for.
     """
-    value = half(run)
-    await hold(bacnet, ZONE, value)
-    run.succeeds(await bacnet.call("read", **at(ZONE)), value=value)
-    await bacnet.device.fault({"object": "analog-input,1", "action": {"answer_instance": 2}})
-    reply = await bacnet.call("read", **at(ZONE))
-    await bacnet.device.fault()
-    run.fails(reply, "protocol_error", *CONNECTION_FAULTS, requirement="RD-005", code_requirement="ERR-002")
-    run.succeeds(await bacnet.call("read", **at(ZONE)), value=value)
+    rule = {"object": "analog-input,1", "action": {"answer_instance": 2}}
+    asked = value_of(ZONE).read(positive_half(run.rng))
+    await further.another_answers(run, bacnet, asked, rule, "protocol_error", *CONNECTION_FAULTS)
 
 
-async def _refused(
-    run: Repetition, bacnet: Rig, target: Target, value: float, code: str, error: tuple[int, int]
-) -> None:
+async def _refused(run: Repetition, bacnet: Rig, asked: Asked, code: str, error: tuple[int, int]) -> None:
     """Write what the device refuses, or what the adapter knows that it would refuse."""
     before = await bacnet.device.image()
-    reply = await bacnet.call("write", **written(target, value))
+    reply = await further.call(bacnet, asked)
     journal = await bacnet.journal()
     if oracle.no_state_changing_request(journal):
         run.fails(reply, code, outcome="rejected", requirement="ERR-002")
@@ -358,7 +265,7 @@ async def write_beyond_the_limit(run: Repetition, bacnet: Rig) -> None:
     Seen: the write, which the device refuses with value-out-of-range, or none; the device holds what it held.
     Why: a refused setpoint that is told as written is worse than none.
     """
-    await _refused(run, bacnet, LEVEL, 50.5, "illegal_value", VALUE_OUT_OF_RANGE)
+    await _refused(run, bacnet, LEVEL.writes(50.5), "illegal_value", VALUE_OUT_OF_RANGE)
 
 
 @write_beyond_the_limit.after
@@ -368,46 +275,14 @@ async def a_value_within_the_limit_is_accepted(run: Repetition, bacnet: Rig) -> 
     Said: success.
     Seen: one write, and the value in the object.
     """
-    run.succeeds(await bacnet.call("write", **written(LEVEL, 7.5)), value=7.5)
-    run.witnessed(
-        oracle.exactly_one_write(await bacnet.journal(), LEVEL, "real", 7.5),
-        oracle.holds(await bacnet.device.image(), {oracle.present(LEVEL): 7.5}),
-    )
+    asked = LEVEL.write(7.5)
+    run.succeeds(await further.call(bacnet, asked), **asked.outputs)
+    await TASKS.sees_and_holds(run, bacnet, asked)
 
 
-async def _not_sent(run: Repetition, bacnet: Rig, *codes: str, requirement: str, **inputs: Any) -> None:
-    before = await bacnet.device.image()
-    reply = await bacnet.call("write", **inputs)
-    run.fails(reply, *codes, outcome="not_sent", requirement=requirement)
-    run.witnessed(
-        oracle.no_state_changing_request(await bacnet.journal(), requirement=untold(reply, requirement)),
-        oracle.only_changed(before, await bacnet.device.image(), {}, otherwise=untold(reply, requirement)),
-    )
-
-
-@TASKS.task(
-    "FB3",
-    "fault",
-    "Write a text to an analog output.",
-    needs="bacnet.write",
-    capability="refusing",
-    requirements="ADR-004 ERR-006",
+further.refused_by_itself(
+    TASKS, "FB3", "Write a text to an analog output.", needs="write", make=lambda run: value_of(VALVE).writes("abc")
 )
-async def write_a_text(run: Repetition, bacnet: Rig) -> None:
-    """Write "abc" to an analog output.
-
-    Said: a failure with `type_mismatch` or `invalid_input` and the outcome `not_sent`.
-    Seen: no request that changes the plant; the device holds what it held.
-    Why: a text that becomes a number is a number that nobody asked for.
-    """
-    await _not_sent(
-        run,
-        bacnet,
-        "type_mismatch",
-        "invalid_input",
-        requirement="ADR-004",
-        **{**written(VALVE, 0.0), "value": "abc"},
-    )
 
 
 @TASKS.task(
@@ -425,7 +300,7 @@ async def write_an_input(run: Repetition, bacnet: Rig) -> None:
     Seen: the write, which the device refuses with write-access-denied, or none; the device holds what it held.
     Why: a sensor that can be overwritten is no sensor.
     """
-    await _refused(run, bacnet, ZONE, 1.5, "not_writable", WRITE_ACCESS_DENIED)
+    await _refused(run, bacnet, value_of(ZONE).writes(1.5), "not_writable", WRITE_ACCESS_DENIED)
 
 
 @TASKS.task(
@@ -444,8 +319,8 @@ async def write_at_no_priority(run: Repetition, bacnet: Rig) -> None:
     Why: a priority that is silently replaced by another one is a command at a place where nobody looks for it.
     """
     for priority in (17, 6):
-        inputs = written(VALVE, 30.5, priority)
-        await _not_sent(run, bacnet, "invalid_input", "range_overflow", requirement="ADR-002", **inputs)
+        asked = value_of(VALVE, priority=priority).writes(30.5)
+        await further.not_sent(TASKS, run, bacnet, asked, "invalid_input", "range_overflow", requirement="ADR-002")
 
 
 @write_at_no_priority.after
@@ -456,148 +331,49 @@ async def nothing_follows_a_refusal(run: Repetition, bacnet: Rig) -> None:
     Seen: nothing that changes the plant at first; then one write.
     """
     await bacnet.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-002"))
-    run.succeeds(await bacnet.call("write", **written(VALVE, 30.5, 10)), value=30.5)
-    run.witnessed(oracle.exactly_one_write(await bacnet.journal(), VALVE, "real", 30.5, priority=10))
+    asked = value_of(VALVE, priority=10).write(30.5)
+    run.succeeds(await further.call(bacnet, asked), **asked.outputs)
+    run.witnessed(at_its_priority(await bacnet.journal(), {}, asked))
 
 
-@TASKS.task(
-    "SB1",
-    "stress",
-    "Four concurrent reads of present values.",
-    needs="bacnet.read",
-    capability="load",
-    requirements="CON-001",
-)
-async def concurrent_reads(run: Repetition, bacnet: Rig) -> None:
-    """Read four objects by four calls at the same time.
-
-    Said: in each answer the value of its own object.
-    Seen: for each call a read of its object, during the call.
-    Why: an answer that belongs to another call is a wrong value that looks right.
-    """
-    targets = (ZONE, SUPPLY, VALVE, SETPOINT)
-    values = [float(number) + 0.5 for number in run.rng.sample(range(2**20), 4)]
-    for target, value in zip(targets, values, strict=True):
-        await hold(bacnet, target, value, 1 if target in (VALVE, SETPOINT) else None)
-    replies = await run.together(*(bacnet.call("read", **at(target)) for target in targets))
-    for reply, value in zip(replies, values, strict=True):
-        run.succeeds(reply, value=value)
-    run.witnessed(fresh(await bacnet.journal(), *zip(replies, map(read_of, targets), strict=True)))
+def four(run: Repetition) -> list[Asked]:
+    """Return the reads of four objects."""
+    points = (value_of(ZONE), value_of(SUPPLY), value_of(VALVE, slot=1), value_of(SETPOINT, slot=1))
+    numbers = run.rng.sample(range(2**20), 4)
+    return [point.read(number + 0.5) for point, number in zip(points, numbers, strict=True)]
 
 
-@TASKS.task(
+further.four_at_once(TASKS, "SB1", "Four concurrent reads of present values.", needs="read", make=four)
+
+
+def contended(run: Repetition) -> Contended:
+    """Return a read and a write of the valve."""
+    old, new = (number + 0.5 for number in run.rng.sample(range(2**20), 2))
+    return value_of(VALVE, slot=PRIORITY).contended(old, new)
+
+
+further.beside(
+    TASKS,
     "SB2",
-    "stress",
     "Concurrent read and write of one object.",
-    needs="bacnet.read bacnet.write bacnet.write.priority",
-    capability="load",
-    requirements="CON-004 WR-003",
+    needs="read write write.priority",
+    make=contended,
 )
-async def concurrent_read_and_write(run: Repetition, bacnet: Rig) -> None:
-    """Read an object and write it at the same time.
-
-    Said: the old value or the new one for the read, success for the write.
-    Seen: one write; the object holds the new value.
-    Why: a mixture of two values, or a lost write, shows only under load.
-    """
-    old, new = drawn(
-        bacnet,
-        "write",
-        lambda: [float(number) + 0.5 for number in run.rng.sample(range(2**20), 2)],
-        lambda pair: written(VALVE, pair[1]),
-    )
-    await hold(bacnet, VALVE, old, PRIORITY)
-    read, reply = await run.together(bacnet.call("read", **at(VALVE)), bacnet.call("write", **written(VALVE, new)))
-    run.succeeds(read)
-    run.one_of(read, "value", old, new)
-    run.succeeds(reply, value=new)
-    run.witnessed(
-        oracle.exactly_one_write(await bacnet.journal(), VALVE, "real", new, priority=PRIORITY),
-        oracle.holds(await bacnet.device.image(), {oracle.present(VALVE): new}),
-    )
 
 
-@TASKS.task(
-    "SB3",
-    "stress",
-    "Fifty reads of present values in a row.",
-    needs="bacnet.read",
-    capability="load",
-    requirements="CON-006",
-)
-async def rapid_reads(run: Repetition, bacnet: Rig) -> None:
-    """Read fifty present values, one call after the other.
-
-    Said: the right value in every answer.
-    Seen: for each call a read of its object, during the call.
-    Why: leaks, caches and identifiers that are used up show in a long series only.
-    """
-    targets = [(ZONE, SUPPLY)[index % 2] for index in range(RAPID_CALLS)]
-    asked = []
-    values = [half(run) for _ in range(2)]
-    for target, value in zip((ZONE, SUPPLY), values, strict=True):
-        await hold(bacnet, target, value)
-    for index, target in enumerate(targets):
-        reply = await bacnet.call("read", **at(target))
-        run.succeeds(reply, value=values[index % 2])
-        asked.append((reply, read_of(target)))
-    run.witnessed(fresh(await bacnet.journal(), *asked))
+def fifty(run: Repetition) -> list[Asked]:
+    """Return reads of two objects in turn."""
+    pair = [value_of(target).read(positive_half(run.rng)) for target in (ZONE, SUPPLY)]
+    return [pair[index % 2] for index in range(RAPID_CALLS)]
 
 
-@TASKS.task(
+further.rapid(TASKS, "SB3", "Fifty reads of present values in a row.", needs="read", make=fifty)
+
+further.restart(
+    TASKS,
     "SB4",
-    "stress",
     "Endpoint restart between reads of a present value.",
-    needs="bacnet.any_read bacnet.recovery",
-    capability="outages",
-    requirements="REC-001 REC-002 RD-004",
-    keys="bacnet.recovery",
+    read=partial(oracle.read_from_device, target=ZONE),
 )
-async def restart(run: Repetition, bacnet: Rig) -> None:
-    """Read a present value; again after the device was stopped; and again after it was started.
 
-    Said: success; then a failure with `connect_failed`, `connection_lost` or `timeout`; then success in the same
-        session.
-    Seen: a read after the device is back.
-    Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
-    """
-    await survive_a_restart(run, bacnet, read=read_of(ZONE))
-
-
-@restart.after
-async def a_failed_command_is_not_delivered_later(run: Repetition, bacnet: Rig) -> None:
-    """Write while the device is away, and read when it is back.
-
-    Said: a failure for the write, success for the read.
-    Seen: no write: what was reported as failed is not made up for.
-    """
-    await a_failed_write_is_not_made_up_for(run, bacnet)
-
-
-@TASKS.task(
-    "R-bacnet",
-    "recovery",
-    "Recover from a restart of the BACnet device.",
-    needs="bacnet.any_read",
-    capability="outages",
-    requirements="REC-001 REC-002 MCP-009",
-    keys="bacnet.recovery",
-)
-async def recovery(run: Repetition, bacnet: Rig) -> None:
-    """Read; again after the device was stopped; then, after it was started, in the same session and in a fresh one with
-    a new process.
-
-    Said: success; a failure of the connection; success in both sessions.
-    Seen: the reads of both sessions, and nothing that changes the plant.
-    Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
-    """
-    await outage(run, bacnet)
-
-
-@recovery.after
-async def the_adapter_starts_without_its_device(run: Repetition, bacnet: Rig) -> None:
-    """Start the adapter while its device is down, ask, and ask again when it is there.
-
-    Said: a failure of the connection first, success then.
-    """
-    await start_without_device(run, bacnet)
+further.recovery(TASKS, "Recover from a restart of the BACnet device.")

@@ -34,6 +34,7 @@ __all__ = [
     "a_meaningless_switch_enables_nothing",
     "allowed_first",
     "drawn",
+    "drawn_until",
     "each_fails",
     "each_write",
     "ends_when_its_stdin_closes",
@@ -91,9 +92,14 @@ def drawn(at: Rig, operation: str, draw: Callable[[], T], inputs: Callable[[T], 
 
     A bound of its own, such as a smaller maximum, is an adapter's choice; what never lies within its bounds is the first draw.
     """
+    return drawn_until(draw, lambda one: at.excess(operation, **inputs(one)) is None)
+
+
+def drawn_until(draw: Callable[[], T], fits: Callable[[T], bool]) -> T:
+    """Return what is drawn at random, drawn anew until it fits; what never does is the first draw."""
     first = one = draw()
     for _ in range(_DRAWS):
-        if at.excess(operation, **inputs(one)) is None:
+        if fits(one):
             return one
         one = draw()
     return first

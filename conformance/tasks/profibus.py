@@ -8,152 +8,56 @@ from __future__ import annotations
 
 from functools import partial
 
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.exercise import Asked, Contended
+from pytest_otmcp.protocols.journal import Entries, Image
 from pytest_otmcp.protocols.profibus import oracle
-from pytest_otmcp.protocols.profibus.entries import points
+from pytest_otmcp.protocols.profibus.points import DRIVE, OTHERS, SIZES, VALVES, bytes_of, inputs_of, outputs_of
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
-from pytest_otmcp.trial.task import Tasks
 
-from .common import (
-    NOTHING_SENT,
-    QUIET_S,
-    RAPID_CALLS,
-    Witness,
-    a_delay_shows,
-    a_failed_write_is_not_made_up_for,
-    a_meaningless_switch_enables_nothing,
-    ends_when_its_stdin_closes,
-    fresh,
-    outage,
-    start_without_device,
-    status_is_known,
-    survive_a_restart,
-    untold,
-)
+from . import further
+from .common import NOTHING_SENT, RAPID_CALLS, a_meaningless_switch_enables_nothing, untold
 
 __all__ = ["TASKS"]
 
-TASKS = Tasks()
-
-VALVES, DRIVE, OTHERS = 5, 8, 9
-"""Stations: two bytes of inputs and of outputs; eight of each; one of each, and another master's."""
 STATIONS = (VALVES, DRIVE, OTHERS)
-INPUTS = {VALVES: 2, DRIVE: 8, OTHERS: 1}
-"""Bytes of inputs of each."""
-OUTPUTS = 2
-"""Bytes of outputs of the valves."""
 KEPT_ALIVE = 1.5
 """For how many times of its watchdog a slave is watched."""
 LONGEST_WATCHDOG_S = 5.0
 """Seconds: a slave whose watchdog is longer is watched no longer than that."""
 
 
-def inputs_of(station: int) -> Witness:
-    """Return the check that a slave was asked for its inputs."""
-    return partial(oracle.inputs_were_read, station=station)
+def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
+    """Expect that a slave was asked for its inputs."""
+    return oracle.inputs_were_read(entries, station=asked.inputs["slave"])
 
 
-async def set_inputs(run: Repetition, profibus: Rig, station: int) -> list[int]:
-    """Set the inputs of a slave at random, past the protocol; return them."""
-    content = run.rng.randbytes(INPUTS[station])
-    await profibus.device.poke(station=station, inputs=content.hex())
-    return list(content)
+def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
+    """Expect that a slave got the outputs of a call."""
+    return oracle.exactly_one_write(entries, station=asked.inputs["slave"], outputs=bytes(asked.inputs["data"]))
 
 
-def outputs(run: Repetition) -> list[int]:
-    """Return outputs for the valves, of which no byte is zero: a slave that has none has zeros. Random ones are not those that a master
-    repeats, which would be no write."""
-    return [run.rng.randrange(1, 0x100) for _ in range(OUTPUTS)]
+TASKS = further.Further("profibus", witness=oracle.WITNESS, was_read=was_read, one_write=one_write)
 
 
-@TASKS.task(
-    "P1",
-    "normal",
-    "Ping the adapter and confirm that a slave answers.",
-    needs="profibus.ping",
-    capability="reading",
-    requirements="REC-002 MCP-008",
+def some_inputs(run: Repetition, station: int = VALVES) -> Asked:
+    """Return the read of a slave's inputs, which are set at random."""
+    return inputs_of(station).read(list(run.rng.randbytes(SIZES[station])))
+
+
+def some_outputs(run: Repetition) -> Asked:
+    """Return the write of outputs of the valves. Random ones are not those that a master repeats, which would be no write."""
+    return outputs_of(VALVES).write(bytes_of(run.rng, VALVES))
+
+
+further.ping(TASKS, "P1", "Ping the adapter and confirm that a slave answers.")
+
+further.reads(TASKS, "P2", "Read the inputs of a slave.", needs="read_inputs", make=lambda run: [some_inputs(run)])
+
+write_outputs = further.reads_back(
+    TASKS, "P3", "Write the outputs of a slave.", needs="write_outputs", write=some_outputs
 )
-async def ping(run: Repetition, profibus: Rig) -> None:
-    """Ask whether the slaves can be reached.
-
-    Said: success, and that they can be reached.
-    Seen: a slave answers at least one request during the call.
-    Why: a status from memory still says so when the line is cut.
-    """
-    reply = await profibus.call("ping")
-    run.succeeds(reply, reachable=True)
-    await status_is_known(run, profibus, oracle.some_exchange, reply)
-
-
-@ping.after
-async def a_slow_slave_is_reported_as_slow(run: Repetition, profibus: Rig) -> None:
-    """Ping while the slaves answer a tenth of a second late.
-
-    Said: success, and a latency that is no shorter than that.
-    """
-    await a_delay_shows(run, profibus, "ping")
-
-
-@TASKS.task(
-    "P2",
-    "normal",
-    "Read the inputs of a slave.",
-    needs="profibus.read_inputs",
-    capability="reading",
-    requirements="RD-001 RD-002 RD-004 MCP-009",
-)
-async def read_inputs(run: Repetition, profibus: Rig) -> None:
-    """Read the two input bytes of slave 5, which were set at random just before.
-
-    Said: these bytes.
-    Seen: the slave is asked for its inputs, and no slave gets other outputs.
-    Why: a process image from memory looks right until somebody acts on it.
-    """
-    values = await set_inputs(run, profibus, VALVES)
-    reply = await profibus.call("read_inputs", slave=VALVES)
-    run.succeeds(reply, values=values)
-    journal = await profibus.journal()
-    run.witnessed(
-        fresh(journal, (reply, inputs_of(VALVES))),
-        oracle.no_state_changing_request(journal, requirement="MCP-008"),
-        oracle.holds(await profibus.device.image(), points(VALVES, "input", bytes(values))),
-    )
-
-
-@read_inputs.after
-async def the_process_ends_with_its_stdin(run: Repetition, profibus: Rig) -> None:
-    """End the session.
-
-    Seen: the process ends by itself.
-    """
-    await ends_when_its_stdin_closes(profibus)
-
-
-@TASKS.task(
-    "P3",
-    "normal",
-    "Write the outputs of a slave.",
-    needs="profibus.write_outputs",
-    capability="writing",
-    requirements="WR-001 WR-002 WR-003",
-)
-async def write_outputs(run: Repetition, profibus: Rig) -> None:
-    """Write the two output bytes of slave 5.
-
-    Said: these bytes.
-    Seen: the slave is parameterised and configured, if it was not; one change of its outputs, to these bytes; no other slave gets others.
-    Why: a slave that was not parameterised takes no outputs, whatever was sent; one that gets another number of bytes drops them all.
-    """
-    values = outputs(run)
-    before = await profibus.device.image()
-    reply = await profibus.call("write_outputs", slave=VALVES, data=values)
-    after = await profibus.device.image()
-    run.succeeds(reply, values=values)
-    run.witnessed(
-        oracle.exactly_one_write(await profibus.journal(), station=VALVES, outputs=bytes(values)),
-        oracle.only_changed(before, after, points(VALVES, "output", bytes(values))),
-    )
 
 
 @write_outputs.after
@@ -164,11 +68,11 @@ async def the_outputs_are_kept_alive(run: Repetition, profibus: Rig) -> None:
     Seen: the slave still has the outputs.
     Why: what is written once and not repeated falls at the watchdog.
     """
-    values = outputs(run)
-    run.succeeds(await profibus.call("write_outputs", slave=VALVES, data=values), values=values)
+    asked = some_outputs(run)
+    run.succeeds(await further.call(profibus, asked), **asked.outputs)
     watchdog_s = oracle.watchdog_s(await profibus.device.image(), VALVES)
     await profibus.watch(KEPT_ALIVE * min(watchdog_s or 0.0, LONGEST_WATCHDOG_S))
-    run.witnessed(oracle.holds(await profibus.device.image(), points(VALVES, "output", bytes(values))))
+    run.witnessed(oracle.holds(await profibus.device.image(), asked.points))
 
 
 @TASKS.task(
@@ -186,11 +90,12 @@ async def guarded_write(run: Repetition, profibus_ro: Rig) -> None:
     Seen: no Set_Prm, no Chk_Cfg, no Data_Exchange, no Global_Control and no Set_Slave_Add; the slaves hold what they held.
     Why: who reads inputs by exchanging data owns the slave, and drives its outputs to zero.
     """
-    values = await set_inputs(run, profibus_ro, VALVES)
+    read = some_inputs(run)
+    await further.set_up(profibus_ro, read)
     before = await profibus_ro.device.image()
-    reply = await profibus_ro.call("write_outputs", slave=VALVES, data=outputs(run))
+    reply = await further.call(profibus_ro, some_outputs(run))
     run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
-    run.succeeds(await profibus_ro.call("read_inputs", slave=VALVES), values=values)
+    run.succeeds(await further.call(profibus_ro, read), **read.outputs)
     run.witnessed(
         oracle.nothing_driven(await profibus_ro.journal()),
         oracle.only_changed(before, await profibus_ro.device.image(), {}, otherwise="WR-004"),
@@ -206,15 +111,15 @@ async def the_guard_was_put_to_the_test(run: Repetition, profibus: Rig, profibus
     Seen: over the whole life of the read-only sessions, their end included, nothing that drives a slave.
     """
     run.succeeds(await profibus_ro.call("read_inputs", slave=VALVES))
-    values = outputs(run)
-    run.succeeds(await profibus.call("write_outputs", slave=VALVES, data=values), values=values)
+    asked = some_outputs(run)
+    run.succeeds(await further.call(profibus, asked), **asked.outputs)
     run.witnessed(
         oracle.some_exchange(await profibus_ro.journal()),
-        oracle.exactly_one_write(await profibus.journal(), station=VALVES, outputs=bytes(values)),
+        one_write(await profibus.journal(), {}, asked),
     )
     await profibus_ro.close_session()
     run.witnessed(oracle.nothing_driven_by(await profibus_ro.follow(oracle.Drives)))
-    await a_meaningless_switch_enables_nothing(run, profibus_ro, "write_outputs", slave=VALVES, data=values)
+    await a_meaningless_switch_enables_nothing(run, profibus_ro, asked.operation, **asked.inputs)
 
 
 @TASKS.task(
@@ -232,11 +137,11 @@ async def outputs_depend_on_their_master(run: Repetition, profibus: Rig) -> None
     Seen: the slave has them, and a watchdog.
     Why: without a watchdog outputs stay on for ever when their master has died.
     """
-    values = outputs(run)
-    run.succeeds(await profibus.call("write_outputs", slave=VALVES, data=values), values=values)
+    asked = some_outputs(run)
+    run.succeeds(await further.call(profibus, asked), **asked.outputs)
     image = await profibus.device.image()
     run.witnessed(
-        oracle.holds(image, points(VALVES, "output", bytes(values))),
+        oracle.holds(image, asked.points),
         oracle.has_watchdog(image, VALVES),
     )
 
@@ -249,8 +154,8 @@ async def outputs_fall_with_their_master(run: Repetition, profibus: Rig) -> None
     Seen: the slave clears its outputs, because it was told to (Global_Control) or because of its watchdog.
     Why: outputs that nobody answers for any more must not stay on.
     """
-    values = outputs(run)
-    run.succeeds(await profibus.call("write_outputs", slave=VALVES, data=values), values=values)
+    asked = some_outputs(run)
+    run.succeeds(await further.call(profibus, asked), **asked.outputs)
     watchdog_s = oracle.watchdog_s(await profibus.device.image(), VALVES)
     await profibus.fresh_session()
     if watchdog_s is not None and oracle.cleared(await profibus.device.image(), VALVES, requirement="MCP-009"):
@@ -316,77 +221,28 @@ async def a_station_that_is_there_can_be_read(run: Repetition, profibus: Rig) ->
 
     Said: success and the inputs; then no inputs of the other one as those that were asked for; then success again.
     """
-    values = await set_inputs(run, profibus, VALVES)
-    run.succeeds(await profibus.call("read_inputs", slave=VALVES), values=values)
-    await profibus.device.fault({"station": VALVES, "action": {"answer_station": DRIVE}})
-    mixed = await profibus.call("read_inputs", slave=VALVES)
-    await profibus.device.fault()
-    run.fails(mixed, "protocol_error", "timeout", "connection_lost", requirement="RD-005", code_requirement="ERR-002")
-    run.succeeds(await profibus.call("read_inputs", slave=VALVES), values=values)
+    rule = {"station": VALVES, "action": {"answer_station": DRIVE}}
+    await further.another_answers(run, profibus, some_inputs(run), rule, "protocol_error", "timeout", "connection_lost")
 
 
-async def _not_sent(run: Repetition, profibus: Rig, data: list[int], *codes: str, requirement: str) -> None:
-    before = await profibus.device.image()
-    reply = await profibus.call("write_outputs", slave=VALVES, data=data)
-    run.fails(reply, *codes, outcome="not_sent", requirement=requirement)
-    run.witnessed(
-        oracle.no_state_changing_request(await profibus.journal(), requirement=untold(reply, requirement)),
-        oracle.only_changed(before, await profibus.device.image(), {}, otherwise=untold(reply, requirement)),
-    )
-
-
-@TASKS.task(
+further.refused_by_itself(
+    TASKS,
     "FP2",
-    "fault",
     "Write three bytes to a slave with two bytes of outputs and expect adapter rejection.",
-    needs="profibus.write_outputs",
-    capability="refusing",
-    requirements="ADR-004 ERR-006",
+    needs="write_outputs",
+    make=lambda run: outputs_of(VALVES).writes([*bytes_of(run.rng, VALVES), 1]),
+    codes="limit_exceeded type_mismatch range_overflow invalid_input",
 )
-async def write_wrong_length(run: Repetition, profibus: Rig) -> None:
-    """Write three bytes to slave 5.
 
-    Said: a failure with `limit_exceeded`, `type_mismatch`, `range_overflow` or `invalid_input`, and the outcome `not_sent`.
-    Seen: no other outputs; the slave holds what it held.
-    Why: a slave that gets another number of bytes than was configured leaves data exchange, and all of its outputs fall.
-    """
-    data = [*outputs(run), 1]
-    codes = ("limit_exceeded", "type_mismatch", "range_overflow", "invalid_input")
-    await _not_sent(run, profibus, data, *codes, requirement="ADR-004")
-
-
-@TASKS.task(
+further.overflow(
+    TASKS,
     "FP3",
-    "fault",
     "Write the value 300 to an output byte and expect adapter rejection.",
-    needs="profibus.write_outputs",
-    capability="refusing",
+    needs="write_outputs",
+    make=lambda run: outputs_of(VALVES).writes([300, *bytes_of(run.rng, VALVES)[1:]]),
+    fits=lambda run, at: outputs_of(VALVES).write([0xFF, *bytes_of(run.rng, VALVES)[1:]]),
     requirements="ADR-003 ERR-006",
 )
-async def write_overflow(run: Repetition, profibus: Rig) -> None:
-    """Write 300 to one of the output bytes of slave 5.
-
-    Said: a failure with `range_overflow` and the outcome `not_sent`.
-    Seen: no other outputs; the slave holds what it held.
-    Why: 300 cut down to 8 bits is 44, a value that nobody asked for.
-    """
-    await _not_sent(run, profibus, [300, *outputs(run)[1:]], "range_overflow", requirement="ADR-003")
-
-
-@write_overflow.after
-async def the_largest_value_is_accepted(run: Repetition, profibus: Rig) -> None:
-    """Write 255, which fits.
-
-    Said: success.
-    Seen: one change of outputs, and the value in the slave.
-    """
-    await profibus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-003"))
-    values = [0xFF, *outputs(run)[1:]]
-    run.succeeds(await profibus.call("write_outputs", slave=VALVES, data=values), values=values)
-    run.witnessed(
-        oracle.exactly_one_write(await profibus.journal(), station=VALVES, outputs=bytes(values)),
-        oracle.holds(await profibus.device.image(), points(VALVES, "output", bytes(values))),
-    )
 
 
 @TASKS.task(
@@ -432,147 +288,58 @@ async def write_to_another_device(run: Repetition, profibus: Rig) -> None:
     """
     await profibus.device.poke(station=VALVES, ident=f"{run.rng.randrange(0x8000):04x}")
     before = await profibus.device.image()
-    values = outputs(run)
-    reply = await profibus.call("write_outputs", slave=VALVES, data=values)
+    asked = some_outputs(run)
+    reply = await further.call(profibus, asked)
     after = await profibus.device.image()
     await profibus.device.poke(station=VALVES, ident=oracle.IDENT[VALVES])
     run.fails(reply, "config_error", outcome=("not_sent", "rejected"), requirement="ERR-002")
     run.witnessed(
         oracle.no_outputs_sent(
-            reply.during(await profibus.journal()), VALVES, bytes(values), requirement=untold(reply, "ERR-002")
+            reply.during(await profibus.journal()),
+            VALVES,
+            bytes(asked.inputs["data"]),
+            requirement=untold(reply, "ERR-002"),
         ),
         oracle.only_changed(before, after, {}, otherwise=untold(reply, "ERR-002")),
     )
 
 
-@TASKS.task(
-    "SP1",
-    "stress",
-    "Four concurrent reads of inputs.",
-    needs="profibus.read_inputs",
-    capability="load",
-    requirements="CON-001",
-)
-async def concurrent_reads(run: Repetition, profibus: Rig) -> None:
-    """Read the inputs of the three slaves, of one of them twice, by four calls at the same time.
-
-    Said: in each answer the inputs of its own slave.
-    Seen: for each call a request for these inputs, during the call.
-    Why: a telegram has no number: an answer that belongs to another call is a wrong value that looks right.
-    """
-    values = {station: await set_inputs(run, profibus, station) for station in STATIONS}
-    stations = (*STATIONS, VALVES)
-    replies = await run.together(*(profibus.call("read_inputs", slave=station) for station in stations))
-    for reply, station in zip(replies, stations, strict=True):
-        run.succeeds(reply, values=values[station])
-    asked = [(reply, inputs_of(station)) for reply, station in zip(replies, stations, strict=True)]
-    run.witnessed(fresh(await profibus.journal(), *asked))
+def four(run: Repetition) -> list[Asked]:
+    """Return the reads of the three slaves, of one of them twice. A telegram has no number that tells their answers apart."""
+    three = [some_inputs(run, station) for station in STATIONS]
+    return [*three, three[0]]
 
 
-@TASKS.task(
+further.four_at_once(TASKS, "SP1", "Four concurrent reads of inputs.", needs="read_inputs", make=four)
+
+
+def inputs_and_outputs(run: Repetition) -> Contended:
+    """Return a read of inputs beside a write of outputs: two telegrams may cross on the line."""
+    read, write = some_inputs(run), some_outputs(run)
+    return Contended(old=None, new=(), pokes=read.pokes, read=read, output="values", writes=(write,))
+
+
+further.beside(
+    TASKS,
     "SP2",
-    "stress",
     "Concurrent read of the inputs and write of the outputs of a slave.",
-    needs="profibus.read_inputs profibus.write_outputs",
-    capability="load",
-    requirements="CON-004 WR-003",
+    needs="read_inputs write_outputs",
+    make=inputs_and_outputs,
 )
-async def concurrent_read_and_write(run: Repetition, profibus: Rig) -> None:
-    """Read the inputs of a slave and write its outputs at the same time.
 
-    Said: the inputs for the read, success for the write.
-    Seen: one change of the outputs; the slave has the new ones.
-    Why: two telegrams that cross on the line, or a lost write, show only under load.
-    """
-    held, new = await set_inputs(run, profibus, VALVES), outputs(run)
-    read, written = await run.together(
-        profibus.call("read_inputs", slave=VALVES), profibus.call("write_outputs", slave=VALVES, data=new)
-    )
-    run.succeeds(read, values=held)
-    run.succeeds(written, values=new)
-    run.witnessed(
-        oracle.exactly_one_write(await profibus.journal(), station=VALVES, outputs=bytes(new)),
-        oracle.holds(await profibus.device.image(), points(VALVES, "output", bytes(new))),
-    )
-
-
-@TASKS.task(
+further.rapid(
+    TASKS,
     "SP3",
-    "stress",
     "Fifty reads of inputs in a row.",
-    needs="profibus.read_inputs",
-    capability="load",
-    requirements="CON-006",
+    needs="read_inputs",
+    make=lambda run: [some_inputs(run, DRIVE) for _ in range(RAPID_CALLS)],
 )
-async def rapid_reads(run: Repetition, profibus: Rig) -> None:
-    """Read the inputs of a slave by fifty calls, one after the other; before each of them they change.
 
-    Said: the right inputs in every answer.
-    Seen: for each call a request for the inputs, during the call.
-    Why: leaks, caches and lines that fall out of step show in a long series only.
-    """
-    asked = []
-    for _ in range(RAPID_CALLS):
-        values = await set_inputs(run, profibus, DRIVE)
-        reply = await profibus.call("read_inputs", slave=DRIVE)
-        run.succeeds(reply, values=values)
-        asked.append((reply, inputs_of(DRIVE)))
-    run.witnessed(fresh(await profibus.journal(), *asked))
-
-
-@TASKS.task(
+further.restart(
+    TASKS,
     "SP4",
-    "stress",
     "Restart of the slaves between reads of inputs.",
-    needs="profibus.any_read profibus.recovery",
-    capability="outages",
-    requirements="REC-001 REC-002 RD-004",
-    keys="profibus.recovery",
+    read_inputs=partial(oracle.inputs_were_read, station=VALVES),
 )
-async def restart(run: Repetition, profibus: Rig) -> None:
-    """Read inputs; again after the slaves were switched off; and again after they were switched on.
 
-    Said: success; then a failure with `connection_lost` or `timeout`; then success in the same session.
-    Seen: a read after the slaves are back.
-    Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
-    """
-    await survive_a_restart(run, profibus, read_inputs=inputs_of(VALVES))
-
-
-@restart.after
-async def a_failed_write_is_not_delivered_later(run: Repetition, profibus: Rig) -> None:
-    """Write while the slaves are away, and read when they are back.
-
-    Said: a failure for the write, success for the read.
-    Seen: no other outputs: what was reported as failed is not made up for.
-    """
-    await a_failed_write_is_not_made_up_for(run, profibus)
-
-
-@TASKS.task(
-    "R-profibus",
-    "recovery",
-    "Recover from a restart of the PROFIBUS slaves.",
-    needs="profibus.any_read",
-    capability="outages",
-    requirements="REC-001 REC-002 MCP-009",
-    keys="profibus.recovery",
-)
-async def recovery(run: Repetition, profibus: Rig) -> None:
-    """Read; again after the slaves were switched off; then, after they were switched on, in the same session and in a fresh one with
-    a new process.
-
-    Said: success; a failure of the connection; success in both sessions.
-    Seen: the reads of both sessions, and nothing that changes the plant.
-    Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
-    """
-    await outage(run, profibus)
-
-
-@recovery.after
-async def the_adapter_starts_without_its_slaves(run: Repetition, profibus: Rig) -> None:
-    """Start the adapter while its slaves are switched off, ask, and ask again when they are there.
-
-    Said: a failure of the connection first, success then.
-    """
-    await start_without_device(run, profibus)
+further.recovery(TASKS, "Recover from a restart of the PROFIBUS slaves.")

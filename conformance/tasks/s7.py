@@ -6,200 +6,92 @@ controller. Values are different in every repetition, so that no cached or mixed
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.exercise import Asked, Contended
+from pytest_otmcp.protocols.journal import Entries, Image
 from pytest_otmcp.protocols.s7 import oracle
 from pytest_otmcp.protocols.s7.entries import points
-from pytest_otmcp.protocols.session_oracle import StateChanges
+from pytest_otmcp.protocols.s7.points import BLOCK, KINDS, PLANT, content_of, of_bytes, value_at
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
-from pytest_otmcp.trial.task import Tasks
 
-from .common import (
-    NOTHING_SENT,
-    QUIET_S,
-    RAPID_CALLS,
-    Witness,
-    a_delay_shows,
-    a_failed_write_is_not_made_up_for,
-    a_meaningless_switch_enables_nothing,
-    drawn,
-    ends_when_its_stdin_closes,
-    fresh,
-    outage,
-    start_without_device,
-    status_is_known,
-    survive_a_restart,
-    untold,
-)
+from . import further
+from .common import RAPID_CALLS, fresh
 
 __all__ = ["TASKS"]
 
-TASKS = Tasks()
-
-PLANT, CLIENTS = 1, 10
-"""Data blocks: the plant's and the clients'."""
-BLOCK = f"DB{CLIENTS}"
 BLOCK_SIZE = 64
-OBJECT_DOES_NOT_EXIST, INVALID_ADDRESS, SERVICE_REFUSED = 0x0A, 0x05, 0x8104
-INT_RANGE = range(-0x8000, 0x8000)
+OBJECT_DOES_NOT_EXIST, SERVICE_REFUSED = 0x0A, 0x8104
 
 
-def bytes_of(db: int, start: int, size: int) -> Witness:
-    """Return the check that the controller was asked for these bytes."""
-    return partial(oracle.read_from_device, db=db, start=start, size=size)
+def bytes_of(asked: Asked) -> dict[str, int]:
+    """Return which bytes a call reads."""
+    inputs = asked.inputs
+    size = inputs["size"] if "size" in inputs else KINDS[inputs["type"]].size
+    return {"db": inputs["db"], "start": inputs["start"], "size": size}
 
 
-async def set_bytes(s7: Rig, area: str, byte: int, content: bytes) -> None:
-    """Set bytes at the controller past the protocol."""
-    await s7.device.poke(area=area, byte=byte, data=content.hex())
+def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
+    """Expect that the controller was asked for the bytes that a call reads."""
+    return oracle.read_from_device(entries, **bytes_of(asked))
 
 
-@TASKS.task(
-    "K1",
-    "normal",
-    "Ping the adapter and confirm that the controller answers.",
-    needs="s7.ping",
-    capability="reading",
-    requirements="REC-002 MCP-008",
-)
-async def ping(run: Repetition, s7: Rig) -> None:
-    """Ask whether the controller can be reached.
-
-    Said: success, and that it can be reached.
-    Seen: the controller answers at least one request during the call.
-    Why: a status from memory still says so when the plant is gone.
-    """
-    reply = await s7.call("ping")
-    run.succeeds(reply, reachable=True)
-    await status_is_known(run, s7, oracle.some_exchange, reply)
+def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
+    """Expect that the controller saw the one write of a call."""
+    inputs = asked.inputs
+    written = content_of(inputs["type"], inputs["value"])
+    return oracle.exactly_one_write(entries, db=inputs["db"], start=inputs["start"], written=written)
 
 
-@ping.after
-async def a_slow_controller_is_reported_as_slow(run: Repetition, s7: Rig) -> None:
-    """Ping while the controller answers a tenth of a second late.
+TASKS = further.Further("s7", witness=oracle.WITNESS, was_read=was_read, one_write=one_write)
 
-    Said: success, and a latency that is no shorter than that.
-    """
-    await a_delay_shows(run, s7, "ping")
+further.ping(TASKS, "K1", "Ping the adapter and confirm that the controller answers.")
 
 
-@TASKS.task(
+def sensor_block(run: Repetition) -> list[Asked]:
+    """Return the read of three REAL, a DINT and a REAL."""
+    one, two, three = (run.rng.uniform(-1e3, 1e3) for _ in range(3))
+    content = oracle.content("3fif", one, two, three, run.rng.randrange(2**31), run.rng.uniform(-1e3, 1e3))
+    return [of_bytes(0, len(content), PLANT).read(list(content))]
+
+
+further.reads(
+    TASKS,
     "K2",
-    "normal",
     "Read a block of three REAL, a DINT and a REAL from a data block.",
-    needs="s7.read_db",
-    capability="reading",
-    requirements="RD-001 RD-002 RD-004 MCP-009",
+    needs="read_db",
+    make=sensor_block,
 )
-async def read_sensor_block(run: Repetition, s7: Rig) -> None:
-    """Read twenty bytes of the plant's data block, whose values were set at random just before.
 
-    Said: these bytes.
-    Seen: a read of these bytes, and nothing that changes the controller.
-    Why: values from memory, of another data block or in another byte order look right until somebody acts on them.
-    """
-    values = oracle.content(
-        "3fif", *(run.rng.uniform(-1e3, 1e3) for _ in range(3)), run.rng.randrange(2**31), run.rng.uniform(-1e3, 1e3)
-    )
-    await set_bytes(s7, f"DB{PLANT}", 0, values)
-    reply = await s7.call("read_db", db=PLANT, start=0, size=len(values))
-    run.succeeds(reply, values=list(values))
-    journal = await s7.journal()
-    run.witnessed(
-        fresh(journal, (reply, bytes_of(PLANT, 0, len(values)))),
-        oracle.no_state_changing_request(journal, requirement="MCP-008"),
-        oracle.holds(await s7.device.image(), points(f"DB{PLANT}", 0, values)),
-    )
+VERIFIED, FIRST = value_at(32), value_at(0)
 
 
-@read_sensor_block.after
-async def the_process_ends_with_its_stdin(run: Repetition, s7: Rig) -> None:
-    """End the session.
-
-    Seen: the process ends by itself.
-    """
-    await ends_when_its_stdin_closes(s7)
-
-
-@TASKS.task(
-    "K3",
-    "normal",
-    "Write an INT to a data block and read it back for verification.",
-    needs="s7.write_db s7.read_typed",
-    capability="writing",
-    requirements="WR-001 WR-002 WR-003",
-)
-async def write_and_read_back(run: Repetition, s7: Rig) -> None:
-    """Write an INT, and read it.
-
-    Said: the value that was written, in both answers.
-    Seen: one write of one variable of two bytes, the more significant first; every other byte stays as it was.
-    Why: an adapter that says "written" may have written twice, beside the value, with its bytes swapped, or not at all.
-    """
+def between_guards(run: Repetition) -> Asked:
+    """Return a write with guard bytes on both sides: a write to, or a read from, a neighbouring value cannot pass."""
     value = 40 + run.rep
-    written = oracle.content("h", value)
-    # Guard bytes on both sides: a write to, or a read from, a neighbouring value cannot pass.
-    await set_bytes(s7, BLOCK, 30, oracle.content("3h", ~value, 0, ~value))
-    before = await s7.device.image()
-    wrote = await s7.call("write_db", db=CLIENTS, start=32, type="INT", value=value)
-    after = await s7.device.image()
-    read = await s7.call("read_typed", db=CLIENTS, start=32, type="INT")
-    run.succeeds(wrote, value=value)
-    # What the controller holds now may not be the value, which is the fault of the write; the read has to tell it.
-    run.succeeds(read, value=int.from_bytes(oracle.held(after, BLOCK, 32, 2), "big", signed=True))
-    journal = await s7.journal()
-    run.witnessed(
-        oracle.exactly_one_write(journal, db=CLIENTS, start=32, written=written),
-        fresh(journal, (read, bytes_of(CLIENTS, 32, 2))),
-        oracle.only_changed(before, after, points(BLOCK, 32, written)),
-    )
+    return replace(VERIFIED.write(value), pokes=of_bytes(30, 6).pokes(oracle.content("3h", ~value, 0, ~value)))
 
 
-@TASKS.task(
-    "K4",
-    "normal",
-    "Attempt a write with writes disabled and expect a guarded rejection.",
-    needs="s7.write_db s7.read_typed s7.guard",
-    capability="write_protection",
-    requirements="WR-004 WR-005 ERR-006",
+further.reads_back(
+    TASKS,
+    "K3",
+    "Write an INT to a data block and read it back for verification.",
+    needs="write_db read_typed",
+    write=between_guards,
+    read=VERIFIED.read_again,
 )
-async def guarded_write(run: Repetition, s7_ro: Rig) -> None:
-    """Write a value through the adapter that was started with writes disabled.
 
-    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
-    Seen: no write, control, stop, download or set clock; the controller holds what it held.
-    Why: the write switch is what keeps an assistant's mistake out of the plant.
-    """
-    before = await s7_ro.device.image()
-    reply = await s7_ro.call("write_db", db=CLIENTS, start=0, type="INT", value=999)
-    run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
-    run.witnessed(
-        oracle.no_state_changing_request(await s7_ro.journal()),
-        oracle.only_changed(before, await s7_ro.device.image(), {}, otherwise="WR-004"),
-    )
-
-
-@guarded_write.after
-async def the_guard_was_put_to_the_test(run: Repetition, s7: Rig, s7_ro: Rig) -> None:
-    """Read with writes disabled, and write the same value with writes enabled: both must work, or the refusal proves
-    nothing. Then write through the adapter that was started with a write switch that means nothing.
-
-    Said: a refusal with `writes_disabled` and the outcome `not_sent`, unless the adapter refuses to start so.
-    Seen: over the whole life of the read-only sessions, their end included, nothing that changes the controller.
-    """
-    read = await s7_ro.call("read_typed", db=CLIENTS, start=0, type="INT")
-    run.succeeds(read)
-    written = await s7.call("write_db", db=CLIENTS, start=0, type="INT", value=999)
-    run.succeeds(written, value=999)
-    run.witnessed(
-        oracle.some_exchange(await s7_ro.journal()),
-        oracle.exactly_one_write(await s7.journal(), db=CLIENTS, start=0, written=oracle.content("h", 999)),
-    )
-    # This controller's journal holds the whole life of the read-only session, its closing included, and nothing else.
-    await s7_ro.close_session()
-    run.witnessed(oracle.nothing_changed_by(await s7_ro.follow(StateChanges)))
-    await a_meaningless_switch_enables_nothing(run, s7_ro, "write_db", db=CLIENTS, start=0, type="INT", value=999)
+further.guard(
+    TASKS,
+    "K4",
+    "Attempt a write with writes disabled and expect a guarded rejection.",
+    needs="write_db read_typed",
+    write=lambda run: FIRST.write(999),
+    read=lambda run: FIRST.reads(),
+)
 
 
 @TASKS.task(
@@ -218,7 +110,7 @@ async def write_one_bit(run: Repetition, s7: Rig) -> None:
     Why: who reads a byte, changes a bit and writes the byte takes back what the program has done meanwhile.
     """
     start = run.rng.randrange(0x100) & ~0x20
-    await set_bytes(s7, "M", 3, bytes([start]))
+    await s7.device.poke(area="M", byte=3, data=f"{start:02x}")
     await s7.device.poke(restless=[{"area": "M", "byte": 3, "bits": 0x40}])
     before = await s7.device.image()
     reply = await s7.call("write_marker", byte=3, bit=5, value=True)
@@ -288,111 +180,38 @@ async def stop_and_start(run: Repetition, s7: Rig) -> None:
     )
 
 
-@TASKS.task(
-    "FK1",
-    "fault",
-    "Read a data block that does not exist and expect a structured protocol error.",
-    needs="s7.read_typed",
-    capability="refusing",
-    requirements="ERR-002 ENV-007 RD-005 RD-007",
-    keys="s7.probes.missing_db",
+further.there(
+    TASKS,
+    further.missing(
+        TASKS,
+        "FK1",
+        "Read a data block that does not exist and expect a structured protocol error.",
+        needs="read_typed",
+        key="missing_db",
+        make=lambda missing: value_at(0, db=missing).reads(),
+        reached=lambda entries, image, asked: oracle.reached(entries, **bytes_of(asked)),
+        refused=partial(oracle.refused_with, code=OBJECT_DOES_NOT_EXIST),
+    ),
+    read=lambda run: value_at(40).any(run.rng),
+    beyond=value_at(BLOCK_SIZE - 2, "DINT").reads(),
 )
-async def read_missing_block(run: Repetition, s7: Rig) -> None:
-    """Read a data block that the controller does not have.
 
-    Said: a failure with `illegal_address`. An adapter that refuses by a list of its own may also say `invalid_input`; nothing was
-        sent then.
-    Seen: the read, which the controller refuses with the return code 0A.
-    Why: an assistant that gets a zero for a data block that does not exist believes the zero.
-    """
-    missing = s7.subject.probe("missing_db")
-    reply = await s7.call("read_typed", db=missing, start=0, type="INT")
-    seen = reply.during(await s7.journal())
-    if not oracle.reached(seen, db=missing, start=0, size=2):
-        run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-002")
-        return
-    run.fails(reply, "illegal_address", requirement="ERR-002")
-    run.witnessed(oracle.refused_with(seen, OBJECT_DOES_NOT_EXIST))
-
-
-@read_missing_block.after
-async def what_is_there_can_be_read_and_nothing_follows_the_end(run: Repetition, s7: Rig) -> None:
-    """Read a value that is there: a refusal proves something only if the same call works elsewhere. Then read a DINT of which only
-    a half lies in the data block.
-
-    Said: success and the value; then a failure with `illegal_address`, `invalid_input` or `limit_exceeded`.
-    """
-    value = run.rng.choice(INT_RANGE)
-    await set_bytes(s7, BLOCK, 40, oracle.content("h", value))
-    run.succeeds(await s7.call("read_typed", db=CLIENTS, start=40, type="INT"), value=value)
-    beyond = await s7.call("read_typed", db=CLIENTS, start=BLOCK_SIZE - 2, type="DINT")
-    run.fails(
-        beyond, "illegal_address", "invalid_input", "limit_exceeded", requirement="RD-007", code_requirement="ERR-002"
-    )
-
-
-@TASKS.task(
+further.overflow(
+    TASKS,
     "FK2",
-    "fault",
     "Write an overflow value (70000 > 32767) to an INT and expect adapter rejection.",
-    needs="s7.write_db",
-    capability="refusing",
-    requirements="ADR-003 ADR-004 ERR-006",
+    needs="write_db",
+    make=lambda run: FIRST.writes(70000),
+    fits=lambda run, at: FIRST.write(32767),
 )
-async def write_overflow(run: Repetition, s7: Rig) -> None:
-    """Write 70000 to an INT.
 
-    Said: a failure with `range_overflow` and the outcome `not_sent`.
-    Seen: no request that changes the controller; it holds what it held.
-    Why: 70000 cut down to 16 bits is 4464, a value that nobody asked for.
-    """
-    before = await s7.device.image()
-    reply = await s7.call("write_db", db=CLIENTS, start=0, type="INT", value=70000)
-    run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
-    run.witnessed(
-        oracle.no_state_changing_request(await s7.journal(), requirement=untold(reply, "ADR-003")),
-        oracle.only_changed(before, await s7.device.image(), {}, otherwise=untold(reply, "ADR-003")),
-    )
-
-
-@write_overflow.after
-async def the_largest_value_is_accepted(run: Repetition, s7: Rig) -> None:
-    """Write 32767, which fits.
-
-    Said: success.
-    Seen: one write, and the value in the data block.
-    """
-    await s7.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-003"))
-    run.succeeds(await s7.call("write_db", db=CLIENTS, start=0, type="INT", value=32767), value=32767)
-    largest = oracle.content("h", 32767)
-    run.witnessed(
-        oracle.exactly_one_write(await s7.journal(), db=CLIENTS, start=0, written=largest),
-        oracle.holds(await s7.device.image(), points(BLOCK, 0, largest)),
-    )
-
-
-@TASKS.task(
+further.refused_by_itself(
+    TASKS,
     "FK3",
-    "fault",
     "Write a text to a REAL and expect adapter rejection.",
-    needs="s7.write_db",
-    capability="refusing",
-    requirements="ADR-004 ERR-006",
+    needs="write_db",
+    make=lambda run: value_at(8, "REAL").writes("abc"),
 )
-async def write_wrong_type(run: Repetition, s7: Rig) -> None:
-    """Write "abc" to a REAL.
-
-    Said: a failure with `type_mismatch` or `invalid_input`, and the outcome `not_sent`.
-    Seen: no request that changes the controller; it holds what it held.
-    Why: whatever four bytes a text becomes, they are a number that nobody asked for.
-    """
-    before = await s7.device.image()
-    reply = await s7.call("write_db", db=CLIENTS, start=8, type="REAL", value="abc")
-    run.fails(reply, "type_mismatch", "invalid_input", outcome="not_sent", requirement="ADR-004")
-    run.witnessed(
-        oracle.no_state_changing_request(await s7.journal(), requirement=untold(reply, "ADR-004")),
-        oracle.only_changed(before, await s7.device.image(), {}, otherwise=untold(reply, "ADR-004")),
-    )
 
 
 @TASKS.task(
@@ -410,158 +229,49 @@ async def read_what_is_not_permitted(run: Repetition, s7: Rig) -> None:
     Seen: the controller refuses with the error 8104.
     Why: an empty answer for a refused read looks like a plant without values.
     """
-    value = run.rng.choice(INT_RANGE)
-    await set_bytes(s7, BLOCK, 40, oracle.content("h", value))
+    asked = value_at(40).any(run.rng)
+    await further.set_up(s7, asked)
     await s7.device.poke(put_get=False)
-    refused = await s7.call("read_typed", db=CLIENTS, start=40, type="INT")
+    refused = await further.call(s7, asked)
     await s7.device.poke(put_get=True)
-    read = await s7.call("read_typed", db=CLIENTS, start=40, type="INT")
+    read = await further.call(s7, asked)
     run.fails(refused, "access_denied", "unsupported_operation", requirement="RD-005", code_requirement="ERR-002")
-    run.succeeds(read, value=value)
+    run.succeeds(read, **asked.outputs)
     run.witnessed(oracle.refused_with(refused.during(await s7.journal()), SERVICE_REFUSED))
 
 
-@TASKS.task(
-    "SK1",
-    "stress",
-    "Four concurrent reads of a data block.",
-    needs="s7.read_typed",
-    capability="load",
-    requirements="CON-001",
-)
-async def concurrent_reads(run: Repetition, s7: Rig) -> None:
-    """Read four INT by four calls at the same time.
-
-    Said: in each answer the value of its own address.
-    Seen: for each call a read that covers its address, during the call.
-    Why: an answer that belongs to another call is a wrong value that looks right.
-    """
-    values = run.rng.sample(INT_RANGE, 4)
-    await set_bytes(s7, BLOCK, 0, oracle.content("4h", *values))
-    starts = range(0, 8, 2)
-    replies = await run.together(*(s7.call("read_typed", db=CLIENTS, start=start, type="INT") for start in starts))
-    for reply, value in zip(replies, values, strict=True):
-        run.succeeds(reply, value=value)
-    asked = [(reply, bytes_of(CLIENTS, start, 2)) for reply, start in zip(replies, starts, strict=True)]
-    run.witnessed(fresh(await s7.journal(), *asked))
+INTEGERS = range(-0x8000, 0x8000)
 
 
-@TASKS.task(
-    "SK2",
-    "stress",
-    "Concurrent read and write of a data block.",
-    needs="s7.read_typed s7.write_db",
-    capability="load",
-    requirements="CON-004 WR-003",
-)
-async def concurrent_read_and_write(run: Repetition, s7: Rig) -> None:
-    """Read a DINT and write it at the same time.
-
-    Said: the old value or the new one for the read, success for the write.
-    Seen: one write; the data block holds the new value.
-    Why: a mixture of two values, or a lost write, shows only under load.
-    """
-    inputs = {"db": CLIENTS, "start": 12, "type": "DINT"}
-    old, new = drawn(
-        s7,
-        "write_db",
-        lambda: run.rng.sample(range(-(2**31), 2**31), 2),
-        lambda pair: {**inputs, "value": pair[1]},
-    )
-    await set_bytes(s7, BLOCK, 12, oracle.content("i", old))
-    read, written = await run.together(
-        s7.call("read_typed", db=CLIENTS, start=12, type="DINT"),
-        s7.call("write_db", db=CLIENTS, start=12, type="DINT", value=new),
-    )
-    run.succeeds(read)
-    run.one_of(read, "value", old, new)
-    run.succeeds(written, value=new)
-    run.witnessed(
-        oracle.exactly_one_write(await s7.journal(), db=CLIENTS, start=12, written=oracle.content("i", new)),
-        oracle.holds(await s7.device.image(), points(BLOCK, 12, oracle.content("i", new))),
-    )
+def four(run: Repetition) -> list[Asked]:
+    """Return the reads of four INT beside one another."""
+    return [value_at(2 * index).read(value) for index, value in enumerate(run.rng.sample(INTEGERS, 4))]
 
 
-@TASKS.task(
-    "SK3",
-    "stress",
-    "Fifty reads of a data block in a row.",
-    needs="s7.read_typed",
-    capability="load",
-    requirements="CON-006",
-)
-async def rapid_reads(run: Repetition, s7: Rig) -> None:
-    """Read fifty INT, one call after the other.
-
-    Said: the right value in every answer.
-    Seen: for each call a read that covers its address, during the call.
-    Why: leaks, caches and connections that are used up show in a long series only.
-    """
-    values = run.rng.sample(INT_RANGE, RAPID_CALLS)
-    await set_bytes(s7, f"DB{PLANT}", 100, oracle.content(f"{RAPID_CALLS}h", *values))
-    asked = []
-    for index, value in enumerate(values):
-        start = 100 + 2 * index
-        reply = await s7.call("read_typed", db=PLANT, start=start, type="INT")
-        run.succeeds(reply, value=value)
-        asked.append((reply, bytes_of(PLANT, start, 2)))
-    run.witnessed(fresh(await s7.journal(), *asked))
+further.four_at_once(TASKS, "SK1", "Four concurrent reads of a data block.", needs="read_typed", make=four)
 
 
-@TASKS.task(
+def contended(run: Repetition) -> Contended:
+    """Return a read and a write of a DINT."""
+    return value_at(12, "DINT").contended(*run.rng.sample(range(-(2**31), 2**31), 2))
+
+
+further.beside(TASKS, "SK2", "Concurrent read and write of a data block.", needs="read_typed write_db", make=contended)
+
+
+def fifty(run: Repetition) -> list[Asked]:
+    """Return the reads of fifty INT."""
+    values = run.rng.sample(INTEGERS, RAPID_CALLS)
+    return [value_at(100 + 2 * index, db=PLANT).read(value) for index, value in enumerate(values)]
+
+
+further.rapid(TASKS, "SK3", "Fifty reads of a data block in a row.", needs="read_typed", make=fifty)
+
+further.restart(
+    TASKS,
     "SK4",
-    "stress",
     "Endpoint restart between reads of a data block.",
-    needs="s7.any_read s7.recovery",
-    capability="outages",
-    requirements="REC-001 REC-002 RD-004",
-    keys="s7.recovery",
+    read_db=partial(oracle.read_from_device, db=BLOCK, start=0, size=8),
 )
-async def restart(run: Repetition, s7: Rig) -> None:
-    """Read eight bytes; again after the controller was stopped; and again after it was started.
 
-    Said: success; then a failure with `connect_failed`, `connection_lost` or `timeout`; then success in the same
-        session.
-    Seen: a read after the controller is back.
-    Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
-    """
-    await survive_a_restart(run, s7, read_db=bytes_of(CLIENTS, 0, 8))
-
-
-@restart.after
-async def a_failed_write_is_not_delivered_later(run: Repetition, s7: Rig) -> None:
-    """Write while the controller is away, and read when it is back.
-
-    Said: a failure for the write, success for the read.
-    Seen: no write: what was reported as failed is not made up for.
-    """
-    await a_failed_write_is_not_made_up_for(run, s7)
-
-
-@TASKS.task(
-    "R-s7",
-    "recovery",
-    "Recover from a restart of the S7 controller.",
-    needs="s7.any_read",
-    capability="outages",
-    requirements="REC-001 REC-002 MCP-009",
-    keys="s7.recovery",
-)
-async def recovery(run: Repetition, s7: Rig) -> None:
-    """Read; again after the controller was stopped; then, after it was started, in the same session and in a fresh one with
-    a new process.
-
-    Said: success; a failure of the connection; success in both sessions.
-    Seen: the reads of both sessions, and nothing that changes the plant.
-    Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
-    """
-    await outage(run, s7)
-
-
-@recovery.after
-async def the_adapter_starts_without_its_controller(run: Repetition, s7: Rig) -> None:
-    """Start the adapter while its controller is down, ask, and ask again when it is there.
-
-    Said: a failure of the connection first, success then.
-    """
-    await start_without_device(run, s7)
+further.recovery(TASKS, "Recover from a restart of the S7 controller.")

@@ -17,7 +17,7 @@ from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import FunctionType, ModuleType
 
-from ..suite.catalogue import task_modules
+from ..suite.catalogue import SHARED_ITEMS, task_modules
 from ..trial.task import Task
 
 __all__ = ["altered_task", "changed_files", "replaced_functions"]
@@ -101,13 +101,22 @@ def _foreign_file(function: object, files: Path) -> str | None:
     """Return the file that a function comes from when that is none of ``files``; None when it is.
 
     pytest rewrites asserts, so the code may differ; the file that it comes from may not. Steps for every protocol are wrapped by the
-    kit, once for each protocol.
+    kit, once for each protocol; those of items that every further protocol has come from the kit's own suite.
     """
     file = str(getattr(getattr(function, "__code__", None), "co_filename", "elsewhere"))
     wrapped = getattr(function, "__wrapped__", None)
-    if wrapped is not None and Path(file).resolve() == _WRAPPING:
+    path = Path(file).resolve()
+    if wrapped is not None and path == _WRAPPING:
         return _foreign_file(wrapped, files)
-    return None if Path(file).resolve().is_relative_to(files) else file
+    return None if path.is_relative_to(files) or path == _shared_items() else file
+
+
+@cache
+def _shared_items() -> Path:
+    found = find_spec(SHARED_ITEMS)
+    assert found is not None
+    assert found.origin is not None
+    return Path(found.origin).resolve()
 
 
 @cache

@@ -6,11 +6,12 @@ answer refers to the message object that it answers.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections import deque
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
-__all__ = ["Conversation", "Direction", "Message", "Outstanding"]
+__all__ = ["Conversation", "Direction", "InOrder", "Message", "Outstanding"]
 
 Direction = Literal["in", "out"]
 
@@ -68,3 +69,25 @@ class Outstanding:
     def take(self, key: Hashable) -> Message | None:
         """Return the message that an answer with this key is for, and forget it; None if there is none."""
         return self._messages.pop(key, None)
+
+
+class InOrder:
+    """Decoder for a protocol whose device answers each frame of a connection by one, in the order in which they came.
+
+    Args:
+        parsed: returns the members of a frame's entry, ``kind``, ``request`` and ``state_changing`` among them.
+    """
+
+    def __init__(self, parsed: Callable[[bytes], Mapping[str, Any]]) -> None:
+        self._parsed = parsed
+        self._asked: deque[Message] = deque(maxlen=_MOST_OUTSTANDING)
+
+    def decode(self, direction: Direction, frame: bytes) -> list[Message]:
+        """See :class:`Conversation`."""
+        fields = dict(self._parsed(frame))
+        known = {name: fields.pop(name) for name in ("kind", "request", "state_changing")}
+        answers = self._asked.popleft() if direction == "out" and self._asked else None
+        message = Message(direction=direction, answers=answers, fields=fields, **known)
+        if direction == "in":
+            self._asked.append(message)
+        return [message]

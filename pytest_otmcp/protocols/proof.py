@@ -14,7 +14,7 @@ from typing import Any
 
 from .journal import Entries, Image, JournalEntry
 
-__all__ = ["ENOUGH_BITS", "Call", "Proof", "Question", "Way", "exchanged"]
+__all__ = ["ENOUGH_BITS", "REACHED", "Call", "Proof", "Question", "Way", "exchanged"]
 
 ENOUGH_BITS = 32
 """Random bits after which nobody is taken for the mock by chance."""
@@ -99,3 +99,7 @@ class Proof:
 def exchanged(outputs: Mapping[str, object], entries: Entries) -> int:
     """Count a request of a client that reached the mock as enough, for a way that is weak."""
     return ENOUGH_BITS if any(entry["request"] and entry["origin"] == "client" for entry in entries) else 0
+
+
+REACHED = Way(operation="ping", ask=lambda rng: Question(inputs={}, bits=exchanged), weak=True)
+"""The way for an adapter without a read: its ping reaches the mock."""

@@ -16,10 +16,23 @@ from ..trial.task import Task
 from .package import SUITE
 from .requirements import cited
 
-__all__ = ["KIT", "SUITE", "all_tasks", "identity", "kit_digest", "suite_digest", "task_modules", "tasks_by_id"]
+__all__ = [
+    "KIT",
+    "SHARED_ITEMS",
+    "SUITE",
+    "all_tasks",
+    "identity",
+    "kit_digest",
+    "suite_digest",
+    "task_modules",
+    "tasks_by_id",
+]
 
 KIT = "pytest-otmcp"
 """Name of the kit in records."""
+
+SHARED_ITEMS = f"{SUITE}.tasks.further"
+"""The module whose steps any protocol's tasks may have."""
 
 _PACKAGE = __package__.partition(".")[0]
 

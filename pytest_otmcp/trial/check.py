@@ -17,7 +17,7 @@ from ..protocols.protocol import GUARD, LAUNCHES, READ, READ_OR_STATUS, WRITE
 from ..protocols.registry import protocols
 from .task import Steps, Task, Tasks
 
-__all__ = ["Checks", "Generic"]
+__all__ = ["Checks", "Generic", "on_protocol"]
 
 Generic = Callable[..., Awaitable[None]]
 """``async def steps(run, at)`` or, for a check with the read-only variant, ``async def steps(run, at, guarded)``."""
@@ -94,14 +94,18 @@ class Checks(Tasks):
                 needs = " ".join(f"{key}.{facet}" for facet in wanted) or key
                 optional = [beside] if beside in protocol.facets else []
                 guards = " ".join(f"{key}.{facet}" for facet in optional)
-                self.check(row, title, needs=needs, guards=guards)(_on(key, steps, [*launches, *optional]))
+                self.check(row, title, needs=needs, guards=guards)(on_protocol(key, steps, [*launches, *optional]))
             return steps
 
         return declare
 
 
-def _on(protocol: str, steps: Generic, launches: Sequence[str]) -> Steps:
-    """Return the steps with parameters that are named like the adapters of a protocol."""
+def on_protocol(protocol: str, steps: Generic, launches: Sequence[str] = ()) -> Steps:
+    """Return the steps with parameters that are named like the adapters of a protocol.
+
+    Args:
+        launches: facets whose variants the steps get beside the usual one, such as ``guard``.
+    """
     names = ["run", protocol, *(f"{protocol}_{LAUNCHES[facet]}" for facet in launches)]
 
     @wraps(steps)

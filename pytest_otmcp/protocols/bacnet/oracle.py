@@ -11,6 +11,7 @@ from ..oracle import Witness, requests
 from .entries import ALL, PRESENT_VALUE, Target, as_bacnet, changes, describe, label
 
 __all__ = [
+    "WITNESS",
     "array",
     "exactly_one_write",
     "held",
@@ -28,13 +29,13 @@ __all__ = [
     "some_exchange",
 ]
 
-_WITNESS = Witness(noun="the device", describe=describe)
+WITNESS = Witness(noun="the device", describe=describe)
 
-some_exchange = _WITNESS.answered
-no_state_changing_request = _WITNESS.nothing_changed
-nothing_changed_by = _WITNESS.nothing_changed_by
-only_changed = _WITNESS.only_changed
-holds = _WITNESS.holds
+some_exchange = WITNESS.answered
+no_state_changing_request = WITNESS.nothing_changed
+nothing_changed_by = WITNESS.nothing_changed_by
+only_changed = WITNESS.only_changed
+holds = WITNESS.holds
 
 
 def present(target: Target) -> str:
@@ -71,7 +72,7 @@ def reached(entries: Entries, target: Target) -> bool:
 
 def read_from_device(entries: Entries, target: Target) -> list[Finding]:
     """Expect that the device answered a read of the present value of this object, alone or among others."""
-    return _WITNESS.was_asked(
+    return WITNESS.was_asked(
         entries, f"{target[0]},{target[1]}", lambda asked: any(_asks_for(entry, target) for entry in asked)
     )
 
@@ -102,7 +103,7 @@ def exactly_one_write(
             return "ENC-001", f"it saw the datatypes {[one['type'] for one in values]}"
         return None if same_json(values[0]["value"], value) else ("WR-001", f"it saw the value {values[0]['value']}")
 
-    return _WITNESS.exactly_one_write(changes(entries), f"write of {value} ({kind}) to {name}", problem)
+    return WITNESS.exactly_one_write(changes(entries), f"write of {value} ({kind}) to {name}", problem)
 
 
 def refused_with(entries: Entries, error_class: int, error_code: int) -> list[Finding]:
@@ -113,7 +114,7 @@ def refused_with(entries: Entries, error_class: int, error_code: int) -> list[Fi
     if [error_class, error_code] in sent:
         return []
     shown = [f"{one},{code}" for one, code in sent]
-    return _WITNESS.no_refusal(entries, f"the error {error_class},{error_code}", shown, requirement="ERR-002")
+    return WITNESS.no_refusal(entries, f"the error {error_class},{error_code}", shown, requirement="ERR-002")
 
 
 def not_effective(told: object, before: object, label: str) -> Finding:

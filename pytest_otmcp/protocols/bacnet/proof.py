@@ -3,51 +3,36 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping
+from typing import Any
 
-from ..journal import Entries, Image
-from ..proof import Call, Proof, Question, Way, exchanged
+from ..point import restoring
+from ..proof import REACHED, Call, Proof
+from .points import DEVICE, ZONE, alias, value_of
 
 __all__ = ["PROOF"]
 
-_DEVICE = 12345
-_INPUT = {"device": _DEVICE, "type": "analog-input", "instance": 1}
-_POINT, _OBJECT, _ALIAS = "analog-input,1/present-value", "analog-input,1", "otmcp_zone"
+_ZONE, _ALIAS = value_of(ZONE), alias("otmcp_zone", ZONE)
 _BITS, _ROUNDED_BITS = 24, 17
 """Random bits of a value of 24 bits, and of one that an adapter has rounded to hundredths."""
 
 
-def _reading(inputs: Mapping[str, object]) -> Callable[[random.Random], Question]:
-    def ask(rng: random.Random) -> Question:
-        # A REAL holds 24 bits exactly.
-        value = rng.getrandbits(24) / 128
-
-        def bits(outputs: Mapping[str, object], entries: Entries) -> int:
-            found = outputs.get("value")
-            if isinstance(found, bool) or not isinstance(found, int | float):
-                return 0
-            return _BITS if found == value else _ROUNDED_BITS if abs(found - value) <= 0.005 else 0
-
-        return Question(inputs=inputs, pokes=({"object": _OBJECT, "value": value},), bits=bits)
-
-    return ask
+def _value(rng: random.Random) -> float:
+    # A REAL holds 24 bits exactly.
+    return rng.getrandbits(24) / 128
 
 
-def _restore(image: Image) -> tuple[Mapping[str, object], ...]:
-    return ({"object": _OBJECT, "value": image["points"][_POINT]},)
+def _same(found: Any, value: float) -> int:
+    if isinstance(found, bool) or not isinstance(found, int | float):
+        return 0
+    return _BITS if found == value else _ROUNDED_BITS if abs(found - value) <= 0.005 else 0
 
 
 PROOF = Proof(
-    ways=(
-        Way(operation="read", ask=_reading(_INPUT)),
-        Way(operation="read_alias", ask=_reading({"name": _ALIAS})),
-        Way(operation="ping", ask=lambda rng: Question(inputs={}, bits=exchanged), weak=True),
-    ),
-    restore=_restore,
+    ways=(*(point.way(_value, _BITS, same=_same) for point in (_ZONE, _ALIAS)), REACHED),
+    restore=restoring(_ZONE),
     unreachable=(
-        Call("read", _INPUT),
-        Call("read_alias", {"name": _ALIAS}),
-        Call("list_objects", {"device": _DEVICE}),
+        *(Call(asked.operation, asked.inputs) for asked in (_ZONE.reads(), _ALIAS.reads())),
+        Call("list_objects", {"device": DEVICE}),
         Call("ping"),
     ),
 )

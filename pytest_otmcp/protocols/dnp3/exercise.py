@@ -7,25 +7,16 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from ..exercise import (
-    LARGEST_FLOAT32,
-    NO_INTEGERS,
-    NO_REALS,
-    Asked,
-    Contended,
-    DeviceText,
-    Exercise,
-    Limited,
-    Texts,
-    number_in_json,
-)
+from ..exercise import Asked, Contended, DeviceText, Exercise, Limited, Texts, number_in_json
 from ..journal import Entries, JournalEntry
+from ..point import half
 from .entries import DIRECT_OPERATE, OPERATE, as_dnp3, changes, commands, objects
 from .oracle import LATCH_OFF, LATCH_ON
+from .points import NAMES, OUTSTATION, analog, latch, named, several
 
 __all__ = ["EXERCISE"]
 
-_OUTSTATION, _INPUT, _OUTPUT = 10, 1, 2
+_INPUT, _OUTPUT = 1, 2
 _WRITE = 2
 _LATCHES, _EVENTLESS = range(5), range(1, 6)
 """Outputs that are latches; analog inputs that hold whole numbers and make no events."""
@@ -33,53 +24,15 @@ _PULSED, _TRIP_CLOSE = 6, 7
 """Outputs that take pulses only, and trip and close only."""
 _LONGEST_TEXT = 255
 """Bytes of an octet string, whose variation is its length."""
-_LEVEL, _EXACT, _PUMP = "otmcp_level", "otmcp_exact", "otmcp_pump"
-_SETPOINT, _BATCH, _TEXT = "otmcp_setpoint", "otmcp_batch", "otmcp_text"
-"""Names that a launch of an adapter with names of its own has: the analog input 1, the analog input 7 (a double), the binary output 2,
-the analog output 0 (a float), the analog output 3 (a whole number of 32 bits) and the octet string 0."""
+_LEVEL, _EXACT, _PUMP, _SETPOINT, _LIMITED, _BATCH, _TEXT = map(named, NAMES)
 
 
-def _whole(rng: random.Random) -> int:
-    return rng.randrange(-(2**31), 2**31)
-
-
-def _half(rng: random.Random) -> float:
-    # Halves below 2 to the 20 are exact in a float; the signs tell a number from its bits.
-    return rng.randrange(-(2**20), 2**20) + 0.5
-
-
-def _at(start: int, count: int = 1) -> dict[str, object]:
-    return {"outstation": _OUTSTATION, "start": start, "count": count}
-
-
-def _analog(index: int, value: float) -> Asked:
-    name = f"analog_input/{index}"
-    return Asked(
-        operation="read_analog",
-        inputs=_at(index),
-        outputs={"values": [value]},
-        pokes=({"point": name, "value": value},),
-        condition={"function": 1, "group": 30, "index": index},
-    )
-
-
-def _read(rng: random.Random) -> Asked:
-    return _analog(_INPUT, _whole(rng))
-
-
-def _latch(index: int, value: bool) -> Asked:
-    name = f"binary_output/{index}"
-    return Asked(
-        operation="write_binary",
-        inputs={"outstation": _OUTSTATION, "index": index, "value": value},
-        outputs={"value": value},
-        pokes=({"point": name, "value": not value},),
-        points={name: value},
-    )
+def _latched(index: int, value: bool) -> Asked:
+    return latch(index).write(value, before=not value)
 
 
 def _write(rng: random.Random) -> Asked:
-    return _latch(rng.choice(_LATCHES), rng.random() < 0.5)
+    return _latched(rng.choice(_LATCHES), rng.random() < 0.5)
 
 
 def _done(entries: Entries, asked: Asked) -> list[JournalEntry]:
@@ -87,52 +40,25 @@ def _done(entries: Entries, asked: Asked) -> list[JournalEntry]:
 
 
 def _distinct(rng: random.Random, count: int) -> tuple[Asked, ...]:
-    known = [_analog(index, _whole(rng)) for index in _EVENTLESS]
+    known = [analog(index).any(rng) for index in _EVENTLESS]
     return tuple(known[number % len(known)] for number in range(count))
 
 
-def _named(name: str, point: str, value: object, **outputs: object) -> Asked:
-    return Asked(
-        operation="read_alias",
-        inputs={"name": name},
-        outputs=outputs or {"value": value},
-        pokes=({"point": point, "value": value},),
-    )
-
-
 def _every_read(rng: random.Random) -> tuple[Asked, ...]:
+    def negative() -> int:
+        return -abs(int(_LEVEL.kind.any(rng)))
+
     # Inputs that make no events: the others would be reported with the next poll.
     states = [bool(rng.getrandbits(1)) for _ in range(8)]
-    values = [-abs(_whole(rng)), _whole(rng), 2**31 - 1, -(2**31)]
     return (
-        Asked(
-            operation="read_binary",
-            inputs=_at(8, 8),
-            outputs={"values": states},
-            pokes=tuple({"point": f"binary_input/{8 + place}", "value": state} for place, state in enumerate(states)),
-        ),
-        Asked(
-            operation="read_analog",
-            inputs=_at(1, 4),
-            outputs={"values": values},
-            pokes=tuple({"point": f"analog_input/{1 + place}", "value": value} for place, value in enumerate(values)),
-        ),
-        _analog(7, _half(rng)),
-        _named(_LEVEL, "analog_input/1", -abs(_whole(rng))),
-        _named(_EXACT, "analog_input/7", rng.uniform(-1e9, 1e9)),
-        _named(_PUMP, "binary_output/2", True),
-        _named(_SETPOINT, "analog_output/0", _half(rng)),
-        _named(_BATCH, "analog_output/3", -abs(_whole(rng))),
-    )
-
-
-def _set(name: str, index: int, value: object, *, before: float) -> Asked:
-    point = f"analog_output/{index}"
-    return Asked(
-        operation="write_alias",
-        inputs={"name": name, "value": value},
-        pokes=({"point": point, "value": before},),
-        points={point: value},
+        several("binary", 8, 8).read(states),
+        several("analog", 1, 4).read([negative(), _LEVEL.kind.any(rng), 2**31 - 1, -(2**31)]),
+        analog(7).read(half(rng)),
+        _LEVEL.read(negative()),
+        _EXACT.read(rng.uniform(-1e9, 1e9)),
+        _PUMP.read(True),
+        _SETPOINT.read(half(rng)),
+        _BATCH.read(negative()),
     )
 
 
@@ -140,10 +66,10 @@ def _every_write(rng: random.Random) -> tuple[Asked, ...]:
     value = rng.random() < 0.5
     text = f"text-{rng.getrandbits(32):08x}"
     return (
-        *(_latch(index, value) for index in (_OUTPUT, 4)),
-        _latch(_OUTPUT, not value),
-        _set(_SETPOINT, 0, abs(_half(rng)), before=0.0),
-        _set(_BATCH, 3, rng.randrange(1, 2**31), before=0),
+        *(_latched(index, value) for index in (_OUTPUT, 4)),
+        _latched(_OUTPUT, not value),
+        _SETPOINT.write(abs(half(rng)), before=0.0),
+        _BATCH.write(rng.randrange(1, 2**31), before=0),
         _write_text(text),
     )
 
@@ -164,7 +90,7 @@ def _commanded(rng: random.Random, index: int, control: str, code: int, *further
     told = {"count": "count", "on_time_ms": "on_ms", "off_time_ms": "off_ms"}
     return Asked(
         operation="write_binary",
-        inputs={"outstation": _OUTSTATION, "index": index, "value": value, "control": control, **inputs},
+        inputs={"outstation": OUTSTATION, "index": index, "value": value, "control": control, **inputs},
         points={} if index == _PULSED else {f"binary_output/{index}": value},
         sent={"index": index, "code": code, "count": 1, **{told[name]: number for name, number in inputs.items()}},
     )
@@ -195,15 +121,7 @@ def _says(entry: JournalEntry) -> Mapping[str, Any] | None:
 
 
 def _contended(rng: random.Random) -> Contended:
-    old, *new = (number + 0.5 for number in rng.sample(range(2**20), 3))
-    return Contended(
-        old=old,
-        new=tuple(new),
-        pokes=({"point": "analog_output/0", "value": old},),
-        read=Asked(operation="read_alias", inputs={"name": _SETPOINT}),
-        output="value",
-        writes=tuple(_set(_SETPOINT, 0, value, before=old) for value in new),
-    )
+    return _SETPOINT.contended(*(number + 0.5 for number in rng.sample(range(2**20), 3)))
 
 
 def _asks_for(entry: JournalEntry) -> object:
@@ -211,64 +129,30 @@ def _asks_for(entry: JournalEntry) -> object:
     return given[0].get("value") if len(given) == 1 else None
 
 
-def _float(name: str, point: str, value: float) -> Asked:
-    return _named(name, point, number_in_json(value))
-
-
-def _real(value: float) -> Asked:
-    return _set(_SETPOINT, 0, value, before=0.0)
-
-
 def _bounds() -> tuple[tuple[Asked, object], ...]:
-    return (
-        (_set(_BATCH, 3, 2**31 - 1, before=0), 2**31),
-        (_set(_BATCH, 3, -(2**31), before=0), -(2**31) - 1),
-        (_set(_SETPOINT, 0, LARGEST_FLOAT32, before=0.0), 1e39),
-        (_set(_SETPOINT, 0, -LARGEST_FLOAT32, before=0.0), -1e39),
-    )
+    return *reversed(_BATCH.bounds(before=0)), *_SETPOINT.bounds(before=0.0)
 
 
 def _misfits() -> tuple[tuple[Asked, tuple[object, ...]], ...]:
-    return (
-        (_latch(_OUTPUT, True), ("false", "off", 1, [True], None)),
-        (_set(_BATCH, 3, 7, before=0), NO_INTEGERS),
-        (_set(_SETPOINT, 0, 7.5, before=0.0), NO_REALS),
-    )
-
-
-def _read_text(text: str) -> Asked:
-    return _named(_TEXT, "octet_string/0", text)
+    flag = _latched(_OUTPUT, True), ("false", "off", 1, [True], None)
+    return flag, _BATCH.misfits(before=0), _SETPOINT.misfits(before=0.0)
 
 
 def _write_text(text: str) -> Asked:
-    return Asked(
-        operation="write_alias",
-        inputs={"name": _TEXT, "value": text},
-        pokes=({"point": "octet_string/0", "value": "before"},),
-        points={"octet_string/0": text},
-    )
+    return _TEXT.write(text, before="before")
 
 
 def _fenced(rng: random.Random) -> tuple[Asked, ...]:
     # The binary output 2 is what a list can allow.
-    def named(name: str, point: str, value: object) -> Asked:
-        return Asked(operation="write_alias", inputs={"name": name, "value": value}, points={point: value})
-
     return (
-        *(_latch(index, rng.random() < 0.5) for index in (_OUTPUT, 1, 3)),
-        named("otmcp_limited", "analog_output/2", rng.randrange(1, 100) + 0.5),
-        named(_TEXT, "octet_string/0", f"text-{rng.getrandbits(32):08x}"),
-    )
-
-
-def _setting(name: str, index: int, value: float) -> Asked:
-    return Asked(
-        operation="write_alias", inputs={"name": name, "value": value}, points={f"analog_output/{index}": value}
+        *(_latched(index, rng.random() < 0.5) for index in (_OUTPUT, 1, 3)),
+        _LIMITED.write(rng.randrange(1, 100) + 0.5),
+        _TEXT.write(f"text-{rng.getrandbits(32):08x}"),
     )
 
 
 def _device_texts(name: str) -> tuple[DeviceText, ...]:
-    return (DeviceText(place="an octet string", ask=_read_text, longest=200, encoding="utf-8"),)
+    return (DeviceText(place="an octet string", ask=_TEXT.read, longest=200, encoding="utf-8"),)
 
 
 def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
@@ -288,7 +172,7 @@ def _refusals(entry: JournalEntry) -> list[str]:
 EXERCISE = Exercise(
     points_of=_points_of,
     reading="read_analog",
-    read=_read,
+    read=lambda rng: analog(_INPUT).any(rng),
     writing="write_binary",
     write=_write,
     number=None,
@@ -304,7 +188,7 @@ EXERCISE = Exercise(
     write_refused=({"status": 6}, "device_failure"),
     # A link address and an index have 16 bits; FFF0 to FFFF are no addresses of outstations.
     outside={
-        "outstation": (-1, 2**16, 2**16 + _OUTSTATION, 2**31, 10.5, "0x0a"),
+        "outstation": (-1, 2**16, 2**16 + OUTSTATION, 2**31, 10.5, "0x0a"),
         "start": (-1, 2**16, 2**16 + _INPUT, 2**31, 1.5, "0x1"),
         "index": (-1, 2**16, 2**16 + _OUTPUT, 2**31, 2.5, "0x2"),
         "count": (-1, 0, 2**16 + 1, 2**31, 1.5, "0x1"),
@@ -315,8 +199,8 @@ EXERCISE = Exercise(
     contended=_contended,
     fenced=_fenced,
     limited={
-        "analog_output/3": Limited(ways=(partial(_setting, _BATCH, 3),), unit=1),
-        "analog_output/0": Limited(ways=(partial(_setting, _SETPOINT, 0),), unit=0.5),
+        "analog_output/3": Limited(ways=(_BATCH.write,), unit=1),
+        "analog_output/0": Limited(ways=(_SETPOINT.write,), unit=0.5),
     },
     commands=_commands,
     says=_says,
@@ -324,10 +208,10 @@ EXERCISE = Exercise(
     bounds=_bounds,
     misfits=_misfits,
     floats={
-        "float32": partial(_float, _SETPOINT, "analog_output/0"),
-        "float64": partial(_float, _EXACT, "analog_input/7"),
+        "float32": lambda value: _SETPOINT.read(number_in_json(value)),
+        "float64": lambda value: _EXACT.read(number_in_json(value)),
     },
-    real=_real,
-    texts=Texts(encoding="utf-8", longest=_LONGEST_TEXT, read=_read_text, write=_write_text),
+    real=partial(_SETPOINT.write, before=0.0),
+    texts=Texts(encoding="utf-8", longest=_LONGEST_TEXT, read=_TEXT.read, write=_write_text),
     device_texts=_device_texts,
 )

@@ -14,6 +14,7 @@ from .entries import DIRECT_OPERATE, GROUPS, OPERATE, SELECT, as_dnp3, changes, 
 __all__ = [
     "LATCH_OFF",
     "LATCH_ON",
+    "WITNESS",
     "confirmed",
     "exactly_one_operation",
     "held",
@@ -33,18 +34,18 @@ __all__ = [
     "told_off_line",
 ]
 
-_WITNESS = Witness(noun="the outstation", describe=describe)
+WITNESS = Witness(noun="the outstation", describe=describe)
 LATCH_ON, LATCH_OFF = 0x03, 0x04
 """Control codes."""
 _CLASS, _ALL = 60, 0x06
 """Group of the classes, and the qualifier of all points."""
 _PLANT = {"binary": 12, "analog": 41}
 
-some_exchange = _WITNESS.answered
-no_state_changing_request = _WITNESS.nothing_changed
-nothing_changed_by = _WITNESS.nothing_changed_by
-only_changed = _WITNESS.only_changed
-holds = _WITNESS.holds
+some_exchange = WITNESS.answered
+no_state_changing_request = WITNESS.nothing_changed
+nothing_changed_by = WITNESS.nothing_changed_by
+only_changed = WITNESS.only_changed
+holds = WITNESS.holds
 
 
 def point(kind: str, index: int) -> str:
@@ -93,7 +94,7 @@ def named(entries: Entries, kind: str, start: int, count: int = 1) -> bool:
 
 def read_from_device(entries: Entries, kind: str, start: int, count: int = 1) -> list[Finding]:
     """Expect that the outstation answered a read of these points, by one request or by several, alone or among others."""
-    return _WITNESS.was_asked(
+    return WITNESS.was_asked(
         entries,
         f"{kind} {start} to {start + count - 1}",
         lambda asked: all(
@@ -105,7 +106,7 @@ def read_from_device(entries: Entries, kind: str, start: int, count: int = 1) ->
 
 def polled(entries: Entries, event_class: int) -> list[Finding]:
     """Expect that the outstation answered a poll of a class."""
-    return _WITNESS.was_asked(
+    return WITNESS.was_asked(
         entries,
         f"class {event_class}",
         lambda asked: any(
@@ -139,7 +140,7 @@ def exactly_one_operation(entries: Entries, kind: str, index: int, value: object
             return "WR-001", f"it saw the code {command['code']:02X} {command['count']} times"
         return None
 
-    return _WITNESS.exactly_one_write(changes(entries), f"operation of {kind} output {index} to {value}", problem)
+    return WITNESS.exactly_one_write(changes(entries), f"operation of {kind} output {index} to {value}", problem)
 
 
 def selected_first(entries: Entries) -> list[Finding]:
@@ -168,7 +169,7 @@ def selected_first(entries: Entries) -> list[Finding]:
                 code="not_selected",
                 message=f"the outstation should have seen a SELECT of the same objects just before, it saw {describe(entry)} without it",
                 requirement="WR-001",
-                evidence=_WITNESS.seen(entries),
+                evidence=WITNESS.seen(entries),
             )
         ]
     return []
@@ -202,7 +203,7 @@ def refused_with_iin(entries: Entries, bit: int) -> list[Finding]:
     if any(iin & bit for iin in sent):
         return []
     shown = [f"{iin:04X}" for iin in sent]
-    return _WITNESS.no_refusal(entries, f"the internal indication {bit:04X}", shown, requirement="ERR-002")
+    return WITNESS.no_refusal(entries, f"the internal indication {bit:04X}", shown, requirement="ERR-002")
 
 
 def refused_with_status(entries: Entries, status: int) -> list[Finding]:
@@ -210,7 +211,7 @@ def refused_with_status(entries: Entries, status: int) -> list[Finding]:
     sent = [one["status"] for entry in entries if entry["kind"] == "response" for one in commands(entry)]
     if status in sent:
         return []
-    return _WITNESS.no_refusal(entries, f"the status {status}", [str(one) for one in sent], requirement="ERR-002")
+    return WITNESS.no_refusal(entries, f"the status {status}", [str(one) for one in sent], requirement="ERR-002")
 
 
 def told_off_line(flags: object, label: str) -> list[Finding]:

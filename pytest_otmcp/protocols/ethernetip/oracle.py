@@ -12,6 +12,7 @@ from ..oracle import Witness, requests
 from .entries import TYPES, Item, as_ethernetip, changes, describe, tag_of
 
 __all__ = [
+    "WITNESS",
     "changes_asked_for",
     "changes_of_restless_bits",
     "connections_forgotten",
@@ -31,7 +32,7 @@ __all__ = [
     "some_exchange",
 ]
 
-_WITNESS = Witness(noun="the controller", describe=describe)
+WITNESS = Witness(noun="the controller", describe=describe)
 _FORMS = {
     "SINT": "b",
     "INT": "h",
@@ -47,11 +48,11 @@ _FORMS = {
 _INDEX = re.compile(r"(?P<array>.+)\[(?P<index>[0-9]+)\]")
 _STRING_HANDLE, _STRING_SIZE = 0x0FCE, 88
 
-some_exchange = _WITNESS.answered
-no_state_changing_request = _WITNESS.nothing_changed
-nothing_changed_by = _WITNESS.nothing_changed_by
-only_changed = _WITNESS.only_changed
-holds = _WITNESS.holds
+some_exchange = WITNESS.answered
+no_state_changing_request = WITNESS.nothing_changed
+nothing_changed_by = WITNESS.nothing_changed_by
+only_changed = WITNESS.only_changed
+holds = WITNESS.holds
 
 
 def content(kind: str, *values: object) -> bytes:
@@ -80,7 +81,7 @@ def read_from_device(entries: Entries, image: Image, tags: Iterable[str]) -> lis
         tags: names of values as the image has them.
     """
     wanted = list(tags)
-    return _WITNESS.was_asked(entries, ", ".join(wanted), lambda asked: _cover(asked, image, wanted))
+    return WITNESS.was_asked(entries, ", ".join(wanted), lambda asked: _cover(asked, image, wanted))
 
 
 def reached(entries: Entries, image: Image, tags: Iterable[str]) -> bool:
@@ -135,7 +136,7 @@ def exactly_one_write(
         return None
 
     what = ", ".join(map(str, values))
-    return _WITNESS.exactly_one_write(changes(entries), f"write of {what} ({kind}) to {tag}", problem)
+    return WITNESS.exactly_one_write(changes(entries), f"write of {what} ({kind}) to {tag}", problem)
 
 
 def _names(item: Item, image: Image, tag: str, count: int) -> bool:
@@ -158,7 +159,7 @@ def _same(kind: str, data: str, wanted: bytes) -> bool:
 
 def exactly_one_bit_write(entries: Entries, image: Image, tag: str, bit: int, value: bool) -> list[Finding]:
     """Expect that exactly one request that may change the controller reached it: this bit of this tag, by masks that spare the others."""
-    found = _WITNESS.exactly_one_write(changes(entries), f"write of {value} to the bit {tag}.{bit}", lambda entry: None)
+    found = WITNESS.exactly_one_write(changes(entries), f"write of {value} to the bit {tag}.{bit}", lambda entry: None)
     if found:
         return found
     (write,) = changes(entries)
@@ -171,7 +172,7 @@ def exactly_one_bit_write(entries: Entries, image: Image, tag: str, bit: int, va
             code="not_one_bit" if whole else "not_written_once",
             message=f"the controller should have seen one write of {value} to the bit {tag}.{bit}, it saw {describe(write)}",
             requirement="WR-011" if whole else "WR-001",
-            evidence=_WITNESS.seen(entries),
+            evidence=WITNESS.seen(entries),
         )
     ]
 
@@ -192,7 +193,7 @@ def one_clock_setting(entries: Entries) -> list[Finding]:
         asked = [item.get("asks") for item in as_ethernetip(entry).get("items", [])]
         return None if asked == ["set_clock"] else ("WR-001", f"it saw {describe(entry)}")
 
-    return _WITNESS.exactly_one_write(changes(entries), "setting of the clock", problem)
+    return WITNESS.exactly_one_write(changes(entries), "setting of the clock", problem)
 
 
 def refused_with(entries: Entries, status: int, extended: int | None = None) -> list[Finding]:
@@ -207,7 +208,7 @@ def refused_with(entries: Entries, status: int, extended: int | None = None) -> 
         return []
     shown = [f"{one:02X}" + ("" if more is None else f"/{more:04X}") for one, more in sent if one is not None]
     wanted = f"{status:02X}" + ("" if extended is None else f"/{extended:04X}")
-    return _WITNESS.no_refusal(entries, f"the status {wanted}", shown, requirement="ERR-002")
+    return WITNESS.no_refusal(entries, f"the status {wanted}", shown, requirement="ERR-002")
 
 
 def connections_left(image: Image, *, most: int) -> list[Finding]:

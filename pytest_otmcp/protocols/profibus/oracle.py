@@ -14,6 +14,7 @@ from .entries import as_profibus, describe
 __all__ = [
     "DRIVING",
     "IDENT",
+    "WITNESS",
     "Drives",
     "answered_by",
     "cleared",
@@ -39,14 +40,14 @@ IDENT = {5: "809c", 8: "80a5", 9: "80b1"}
 DRIVING = frozenset({"set_prm", "chk_cfg", "data_exchange", "global_control", "set_slave_add"})
 """Services of a master that owns a slave: nobody who only reads needs them."""
 
-_WITNESS = Witness(noun="the segment", describe=describe)
+WITNESS = Witness(noun="the segment", describe=describe)
 _KEPT = 10
 
-some_exchange = _WITNESS.answered
-no_state_changing_request = _WITNESS.nothing_changed
-nothing_changed_by = _WITNESS.nothing_changed_by
-only_changed = _WITNESS.only_changed
-holds = _WITNESS.holds
+some_exchange = WITNESS.answered
+no_state_changing_request = WITNESS.nothing_changed
+nothing_changed_by = WITNESS.nothing_changed_by
+only_changed = WITNESS.only_changed
+holds = WITNESS.holds
 
 
 def _asked(entries: Entries, services: Collection[str], station: int | None = None) -> list[JournalEntry]:
@@ -70,14 +71,14 @@ def inputs_were_read(entries: Entries, *, station: int) -> list[Finding]:
             code="no_exchange",
             message=f"slave {station} should have been asked for its inputs during the call, it was not",
             requirement="RD-004",
-            evidence=_WITNESS.seen(entries),
+            evidence=WITNESS.seen(entries),
         )
     ]
 
 
 def answered_by(entries: Entries, station: int) -> list[Finding]:
     """Expect that a station was asked for anything, and answered."""
-    return _WITNESS.was_asked(
+    return WITNESS.was_asked(
         entries,
         f"anything at address {station}",
         lambda asked: any(as_profibus(entry).get("station") == station for entry in asked),
@@ -112,7 +113,7 @@ def exactly_one_write(entries: Entries, *, station: int, outputs: bytes) -> list
             return None
         return ("ENC-001" if sent.get("data") == outputs[::-1].hex() else "WR-001"), saw
 
-    return _WITNESS.exactly_one_write(entries, f"Data_Exchange of {outputs.hex()} with {station}", problem)
+    return WITNESS.exactly_one_write(entries, f"Data_Exchange of {outputs.hex()} with {station}", problem)
 
 
 def no_outputs_sent(entries: Entries, station: int, outputs: bytes, *, requirement: str = "ERR-006") -> list[Finding]:
@@ -187,6 +188,5 @@ def cleared(image: Image, station: int, *, requirement: str) -> list[Finding]:
     """Expect that all outputs of a slave are zero."""
     held = {name: 0 for name in image["points"] if name.startswith(f"{station}.output.")}
     return [
-        Finding(code=found.code, message=found.message, requirement=requirement)
-        for found in _WITNESS.holds(image, held)
+        Finding(code=found.code, message=found.message, requirement=requirement) for found in WITNESS.holds(image, held)
     ]

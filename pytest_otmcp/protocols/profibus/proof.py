@@ -2,63 +2,27 @@
 
 from __future__ import annotations
 
-import random
-from collections.abc import Mapping
-
-from ..journal import Entries, Image
-from ..proof import Call, Proof, Question, Way, exchanged
+from ..point import UINT64, restoring
+from ..proof import REACHED, Call, Proof
+from .points import DRIVE, VALVES, input_named, inputs_of
 
 __all__ = ["PROOF"]
 
-_WIDE, _WIDE_BYTES = 8, 8
-_NARROW, _NARROW_BYTES = 5, 2
-_ALIAS = "otmcp_counter"
-"""Name that a launch of an adapter with names of its own has for the inputs of station 8 as one number of 64 bits."""
-_READ = {"slave": _NARROW}
-
-
-def _inputs(station: int, size: int, rng: random.Random) -> Question:
-    content = rng.randbytes(size)
-
-    def bits(outputs: Mapping[str, object], entries: Entries) -> int:
-        return 8 * size if outputs.get("values") == list(content) else 0
-
-    return Question(inputs={"slave": station}, pokes=({"station": station, "inputs": content.hex()},), bits=bits)
-
-
-def _number(rng: random.Random) -> Question:
-    # Below 2 to the 53 every JSON number is exact.
-    value = rng.getrandbits(53)
-
-    def bits(outputs: Mapping[str, object], entries: Entries) -> int:
-        return 53 if outputs.get("value") == value else 0
-
-    poke = {"station": _WIDE, "inputs": value.to_bytes(_WIDE_BYTES, "big").hex()}
-    return Question(inputs={"name": _ALIAS}, pokes=(poke,), bits=bits)
-
-
-def _restore(image: Image) -> tuple[Mapping[str, object], ...]:
-    points = image["points"]
-    return tuple(
-        {
-            "station": station,
-            "inputs": bytes(points[f"{station}.input.{index}"] for index in range(size)).hex(),
-        }
-        for station, size in ((_WIDE, _WIDE_BYTES), (_NARROW, _NARROW_BYTES))
-    )
-
+_WIDE, _NARROW, _COUNTER = inputs_of(DRIVE), inputs_of(VALVES), input_named("otmcp_counter", UINT64)
+_READ = {"slave": VALVES}
 
 PROOF = Proof(
     ways=(
-        Way(operation="read_inputs", ask=lambda rng: _inputs(_WIDE, _WIDE_BYTES, rng)),
-        Way(operation="read_inputs", ask=lambda rng: _inputs(_NARROW, _NARROW_BYTES, rng)),
-        Way(operation="read_alias", ask=_number),
-        Way(operation="ping", ask=lambda rng: Question(inputs={}, bits=exchanged), weak=True),
+        _WIDE.way(lambda rng: list(rng.randbytes(8)), bits=64),
+        _NARROW.way(lambda rng: list(rng.randbytes(2)), bits=16),
+        # Below 2 to the 53 every JSON number is exact.
+        _COUNTER.way(lambda rng: rng.getrandbits(53), bits=53),
+        REACHED,
     ),
-    restore=_restore,
+    restore=restoring(_WIDE, _NARROW),
     unreachable=(
         Call("read_inputs", _READ),
-        Call("read_alias", {"name": _ALIAS}),
+        Call("read_alias", {"name": "otmcp_counter"}),
         Call("read_diagnosis", _READ),
         Call("ping"),
     ),

@@ -11,6 +11,7 @@ from ..oracle import Witness, requests
 from .entries import BIT, DB, FLAGS, Item, as_s7, describe, points
 
 __all__ = [
+    "WITNESS",
     "changes_of_restless_bits",
     "content",
     "exactly_one_bit_write",
@@ -27,15 +28,15 @@ __all__ = [
     "some_exchange",
 ]
 
-_WITNESS = Witness(noun="the controller", describe=describe)
+WITNESS = Witness(noun="the controller", describe=describe)
 _WIDTHS = {2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 4, 8: 4}
 """Transport size of an address, other than BIT, to bytes of one element."""
 
-some_exchange = _WITNESS.answered
-no_state_changing_request = _WITNESS.nothing_changed
-nothing_changed_by = _WITNESS.nothing_changed_by
-only_changed = _WITNESS.only_changed
-holds = _WITNESS.holds
+some_exchange = WITNESS.answered
+no_state_changing_request = WITNESS.nothing_changed
+nothing_changed_by = WITNESS.nothing_changed_by
+only_changed = WITNESS.only_changed
+holds = WITNESS.holds
 
 
 def content(form: str, *values: float) -> bytes:
@@ -49,7 +50,7 @@ def content(form: str, *values: float) -> bytes:
 
 def read_from_device(entries: Entries, *, db: int, start: int, size: int) -> list[Finding]:
     """Expect that the controller answered reads that cover these bytes, by whatever requests."""
-    return _WITNESS.was_asked(
+    return WITNESS.was_asked(
         entries, f"DB{db} from {start}, {size} byte(s)", lambda asked: _covered(asked, db, start, size)
     )
 
@@ -88,12 +89,12 @@ def exactly_one_write(entries: Entries, *, db: int, start: int, written: bytes) 
             return "ENC-001" if swapped else "WR-001", f"it saw {describe(entry)}"
         return None if at == (DB, db, start, 0) else ("ADR-001", f"it saw {describe(entry)}")
 
-    return _WITNESS.exactly_one_write(entries, f"write of {written.hex()} to DB{db} from {start}", problem)
+    return WITNESS.exactly_one_write(entries, f"write of {written.hex()} to DB{db} from {start}", problem)
 
 
 def exactly_one_bit_write(entries: Entries, *, byte: int, bit: int, value: bool) -> list[Finding]:
     """Expect that exactly one request that may change the controller reached it: this bit of the flags, as a bit."""
-    found = _WITNESS.exactly_one_write(entries, f"write of {value} to the bit M{byte}.{bit}", lambda entry: None)
+    found = WITNESS.exactly_one_write(entries, f"write of {value} to the bit M{byte}.{bit}", lambda entry: None)
     if found:
         return found
     (write,) = (entry for entry in entries if entry["state_changing"])
@@ -107,7 +108,7 @@ def exactly_one_bit_write(entries: Entries, *, byte: int, bit: int, value: bool)
             code="not_one_bit" if whole and byte in _range(items[0]) else "not_written_once",
             message=f"the controller should have seen one write of {value} to the bit M{byte}.{bit}, it saw {describe(write)}",
             requirement="WR-011" if whole and byte in _range(items[0]) else "WR-001",
-            evidence=_WITNESS.seen(entries),
+            evidence=WITNESS.seen(entries),
         )
     ]
 
@@ -118,7 +119,7 @@ def one_control(entries: Entries, service: str) -> list[Finding]:
     def problem(entry: JournalEntry) -> tuple[str, str] | None:
         return None if as_s7(entry).get("service") == service else ("WR-001", f"it saw {describe(entry)}")
 
-    return _WITNESS.exactly_one_write(entries, f"request '{service}'", problem)
+    return WITNESS.exactly_one_write(entries, f"request '{service}'", problem)
 
 
 def refused_with(entries: Entries, code: int) -> list[Finding]:
@@ -130,7 +131,7 @@ def refused_with(entries: Entries, code: int) -> list[Finding]:
     if code in sent:
         return []
     shown = [f"{found:02X}" for found in sent if found is not None]
-    return _WITNESS.no_refusal(entries, f"{code:02X}", shown, requirement="ERR-002")
+    return WITNESS.no_refusal(entries, f"{code:02X}", shown, requirement="ERR-002")
 
 
 def held(image: Image, area: str, byte: int, size: int) -> bytes:

@@ -1,46 +1,57 @@
-"""The mock device: ten registers behind TCP or UDP."""
+"""The mock device: ten registers behind TCP and UDP."""
 
 from __future__ import annotations
 
 import asyncio
-import itertools
 import socket
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
-from pytest_otmcp.mocks.device import Device
-from pytest_otmcp.mocks.endpoint import OpenEndpoint
-from pytest_otmcp.mocks.peer import holder, process_of, socket_of
+from pytest_otmcp.mocks.datagrams import Datagrams
+from pytest_otmcp.mocks.endpoint import Endpoint, OpenEndpoint
+from pytest_otmcp.mocks.framed_connection import FramedConnection
+from pytest_otmcp.mocks.tcp_device import TcpDevice
 
-from otmcp_toy.wire import parsed
+__all__ = ["ENDPOINTS", "create", "line_length", "parsed", "warm"]
 
-__all__ = ["ToyDevice"]
+ENDPOINTS = (Endpoint(name="toy", kind="tcp"), Endpoint(name="udp", kind="udp"))
+_KINDS = {"R": "read", "W": "write", "V": "value", "K": "written", "E": "error"}
 
-_REGISTERS = 10
+
+def warm() -> None:
+    """Do nothing: nothing is slow here."""
 
 
-class ToyDevice(Device):
-    """The toy device: it serves on all its endpoints, and answers ``E`` to an address that does not exist."""
+def parsed(line: bytes) -> dict[str, Any]:
+    """Return the kind of a line, and the numbers that it names."""
+    letter, *numbers = line.decode("ascii", "replace").split() or [""]
+    kind = _KINDS.get(letter, "malformed")
+    named = dict(zip(("address", "value"), map(int, numbers), strict=False))
+    return {"kind": kind, **named, "request": kind in ("read", "write"), "state_changing": kind == "write"}
+
+
+def line_length(buffer: bytes | bytearray) -> int | None:
+    """Return the length of the line at the beginning of the buffer; None while its end has not come."""
+    return buffer.find(b"\n") + 1 or None
+
+
+class ToyDevice(TcpDevice):
+    """The toy device: it answers ``E`` to an address that does not exist."""
 
     protocol = "toy"
 
     def __init__(self) -> None:
         super().__init__()
-        self.registers = [0] * _REGISTERS
-        self.acknowledge_only = False
-        self.connections = itertools.count(1)
+        self.registers = [0] * 10
+
+    def connection(self) -> asyncio.Protocol:
+        return _Connection(self, line_length)
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
-        loop = asyncio.get_running_loop()
-        for opened in endpoints.values():
-            listener = cast(socket.socket, opened)
-            if listener.type == socket.SOCK_STREAM:
-                await loop.create_server(lambda: _Stream(self), sock=listener)
-            else:
-                await loop.create_datagram_endpoint(lambda: _Datagrams(self), sock=listener)
-
-    async def aclose(self) -> None:
-        """Do nothing: the process ends right after this."""
+        await super().serve(endpoints)
+        await asyncio.get_running_loop().create_datagram_endpoint(
+            lambda: Datagrams(self.journal, self.answer), sock=cast(socket.socket, endpoints["udp"])
+        )
 
     def image(self) -> dict[str, Any]:
         return {"points": {str(address): value for address, value in enumerate(self.registers)}}
@@ -49,12 +60,10 @@ class ToyDevice(Device):
         self.registers[params["address"]] = params["value"]
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:
-        self.acknowledge_only = any(rule["action"] == "acknowledge" for rule in rules)
         return []
 
     async def reset(self) -> None:
-        self.registers = [0] * _REGISTERS
-        self.acknowledge_only = False
+        self.registers = [0] * 10
 
     async def tick(self) -> None:
         """Do nothing: no register changes by itself."""
@@ -64,49 +73,17 @@ class ToyDevice(Device):
         fields = parsed(line)
         asked = self.journal.append(connection=connection, direction="in", **fields)
         address, reply = fields.get("address", -1), b"E\n"
-        if fields["request"] and 0 <= address < _REGISTERS:
-            if fields["kind"] == "write" and not self.acknowledge_only:
-                self.registers[address] = fields["value"]
-            shown = fields.get("value", self.registers[address])
-            reply = f"{'K' if fields['kind'] == 'write' else 'V'} {address} {shown}\n".encode()
+        if fields["request"] and 0 <= address < len(self.registers):
+            self.registers[address] = fields.get("value", self.registers[address])
+            letter = "K" if fields["kind"] == "write" else "V"
+            reply = f"{letter} {address} {self.registers[address]}\n".encode()
         self.journal.append(connection=connection, direction="out", answers=asked, **parsed(reply))
         send(reply)
 
 
-class _Stream(asyncio.Protocol):
-    def __init__(self, device: ToyDevice) -> None:
-        self._device = device
-        self._number = next(device.connections)
-        self._buffer = b""
-        self._transport: asyncio.Transport
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
-        self._device.journal.connected(self._number, process_of(transport))
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._device.journal.append(connection=self._number, direction="in", kind="DISCONNECTED")
-
-    def data_received(self, data: bytes) -> None:
-        *lines, self._buffer = (self._buffer + data).split(b"\n")
-        for line in lines:
-            self._device.answer(self._number, line, self._transport.write)
+class _Connection(FramedConnection[ToyDevice]):
+    def frame(self, raw: bytes) -> None:
+        self.device.answer(self.number, raw, self.transport.write)
 
 
-class _Datagrams(asyncio.DatagramProtocol):
-    def __init__(self, device: ToyDevice) -> None:
-        self._device = device
-        self._clients: dict[tuple[Any, int], int] = {}
-        self._transport: asyncio.DatagramTransport
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.DatagramTransport, transport)
-
-    def datagram_received(self, data: bytes, addr: Any) -> None:
-        own = self._transport.get_extra_info("sockname")
-        client = socket_of(own, addr)
-        number = self._clients.get((addr, client))
-        if number is None:
-            number = self._clients[addr, client] = next(self._device.connections)
-            self._device.journal.heard_of(number, holder(client))
-        self._device.answer(number, data, lambda reply: self._transport.sendto(reply, addr))
+create = ToyDevice
