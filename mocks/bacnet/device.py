@@ -125,7 +125,7 @@ class _Client:
 
     def note(self, kind: str, **fields: Any) -> int:
         """Record what arrived."""
-        return self._device.journal.append(
+        return self._device.journal.event(
             connection=self._number, direction="in", kind=kind, **fields, bytes=self._datagram.hex()
         )
 
@@ -279,14 +279,14 @@ class _Client:
 
     def _answer(self, asked: int, datagram: bytes, kind: str, **said: Any) -> None:
         if self._device.network.carries():
-            self._device.journal.append(
+            self._device.journal.event(
                 connection=self._number, direction="out", kind=kind, answers=asked, **said, bytes=datagram.hex()
             )
             self._transmit(datagram)
 
     def _unrelated(self, kind: str, data: bytes) -> None:
         if self._device.network.carries():
-            self._device.journal.append(connection=self._number, direction="out", kind=kind, bytes=data.hex())
+            self._device.journal.event(connection=self._number, direction="out", kind=kind, bytes=data.hex())
             self._transmit(data)
 
 

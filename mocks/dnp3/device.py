@@ -12,7 +12,9 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from ..framed_connection import FramedConnection, IllegalFrame
+from pytest_otmcp.wire.framing import MalformedError
+
+from ..framed_connection import FramedConnection
 from ..tcp_device import TcpDevice
 from .faults import FaultPlan, Rule
 from .link import (
@@ -125,7 +127,7 @@ class _Connection(FramedConnection[Dnp3Device]):
     def frame(self, raw: bytes) -> None:
         frame = LinkFrame.parse(raw)
         if not frame.from_master:
-            raise IllegalFrame("link: a frame with the direction of an outstation")
+            raise MalformedError("link: a frame with the direction of an outstation")
         if not frame.primary:
             self.record("in", "link_answer", link_function=frame.function)
             return

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..framed_connection import IllegalFrame
+from pytest_otmcp.wire.framing import MalformedError
+
 from .objects import Header, IllegalObject, UnknownObject, headers
 
 __all__ = [
@@ -61,15 +62,15 @@ class Request:
         """Read a request.
 
         Raises:
-            IllegalFrame: it is none, or not whole.
+            MalformedError: it is none, or not whole.
         """
         if len(fragment) < 2:
-            raise IllegalFrame("application: a fragment without its header")
+            raise MalformedError("application: a fragment without its header")
         control, function = fragment[:2]
         if control & (_FIR | _FIN) != _FIR | _FIN:
-            raise IllegalFrame("application: a request that is no whole fragment")
+            raise MalformedError("application: a request that is no whole fragment")
         if function >= _FIRST_RESPONSE:
-            raise IllegalFrame(f"application: the function {function} of an outstation")
+            raise MalformedError(f"application: the function {function} of an outstation")
         found: Sequence[Header] = ()
         problem: IllegalObject | None = None
         try:

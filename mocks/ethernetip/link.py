@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from ..framed_connection import FramedConnection, IllegalFrame
+from pytest_otmcp.wire.framing import MalformedError
+
+from ..framed_connection import FramedConnection
 from ..tcp_device import TcpDevice
 from .answers import Answers, Asked
 from .asked import AskedFor, connected_request, unconnected_request
@@ -156,7 +158,7 @@ class ClientLink(FramedConnection[TcpDevice]):
             # No controller answers on a connection that it does not know (volume 1, 3-4.4).
             return
         if size > connection.size:
-            raise IllegalFrame(f"CIP: a message of {size} bytes, {connection.size} were agreed to")
+            raise MalformedError(f"CIP: a message of {size} bytes, {connection.size} were agreed to")
         asked = Asked(seq=seq, kind="request", frame=frame, fields=fields, connection=connection, count=count)
         if not known:
             # The transport repeats what it has answered already (volume 1, 3-4.4.2): nothing is executed.

@@ -194,7 +194,7 @@ class Broker:
             return
         # Its expiry interval counts from now (5: section 3.1.3.2.4).
         will = replace(will, arrived=time.monotonic())
-        self.journal.append(
+        self.journal.event(
             connection=session.connection,
             direction="in",
             kind="WILL",

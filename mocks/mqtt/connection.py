@@ -104,7 +104,7 @@ class Connection(asyncio.Protocol):
             self.end(str(violation), violation.reason_code)
 
     def _record(self, direction: Direction, kind: str, **fields: Any) -> int:
-        return self._broker.journal.append(
+        return self._broker.journal.event(
             connection=self.number,
             direction=direction,
             kind=kind,

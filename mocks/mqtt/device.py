@@ -119,7 +119,7 @@ class MqttDevice(Device):
         content = describe_content(packet.topic, packet.payload)
         if self.broker.counted is None:
             fields = describe_publish(packet, content)
-            self.journal.append(connection=0, direction="in", kind="PUBLISH", origin="kit", client_id=KIT, **fields)
+            self.journal.event(connection=0, direction="in", kind="PUBLISH", origin="kit", client_id=KIT, **fields)
         self.broker.publish(packet, KIT, content)
 
     async def _burst(self, burst: Burst) -> None:
@@ -131,7 +131,7 @@ class MqttDevice(Device):
             await self._publish_all(burst)
         finally:
             self.broker.counted = None
-        self.journal.append(
+        self.journal.event(
             connection=0,
             direction="in",
             kind="BURST",
@@ -141,7 +141,7 @@ class MqttDevice(Device):
             count=burst.count,
         )
         for (connection, origin, client_id), count in counted.items():
-            self.journal.append(
+            self.journal.event(
                 connection=connection,
                 direction="out",
                 kind="BURST",

@@ -63,7 +63,7 @@ class Exchange:
             self.rule = self._device.faults.match(self.service, about)
         if self.rule is not NOTHING:
             facts["fault"] = self.rule.action
-        self._asked = self._device.journal.append(
+        self._asked = self._device.journal.event(
             connection=self._connection,
             direction="in",
             kind=self.service,
@@ -90,7 +90,7 @@ class Exchange:
     def answered(self, result: ua.StatusCode, **facts: Any) -> None:
         """Record the answer; ``facts`` are those of its way."""
         self.asked()
-        self._device.journal.append(
+        self._device.journal.event(
             connection=self._connection,
             direction="out",
             kind=self.service,

@@ -143,7 +143,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
             if (result.SubscriptionId, item.ClientHandle) in self.session.monitored
         ]
         if nodes:
-            self._device.journal.append(connection=self._number, direction="out", kind="Publish", nodes=nodes)
+            self._device.journal.event(connection=self._number, direction="out", kind="Publish", nodes=nodes)
 
     async def close(self) -> None:
         self._device.connections.discard(self)
@@ -178,5 +178,5 @@ class PlantProtocol(OPCUAProtocol):  # type: ignore[misc]
         self.processor.set_policies(self.policies)
 
     def connection_lost(self, ex: BaseException | None) -> None:
-        self._device.journal.append(connection=self._number, direction="in", kind="DISCONNECTED")
+        self._device.journal.event(connection=self._number, direction="in", kind="DISCONNECTED")
         super().connection_lost(ex)

@@ -102,7 +102,7 @@ class ProfibusDevice(Device):
         self._record("malformed", bytes=raw[:_SHOWN].hex(), reason=reason)
 
     def _record(self, kind: str, **fields: Any) -> int:
-        return self.journal.append(connection=self._client, direction="in", kind=kind, **fields)
+        return self.journal.event(connection=self._client, direction="in", kind=kind, **fields)
 
     def _frame(self, raw: bytes) -> None:
         if raw[0] in (TOKEN, SHORT_ACKNOWLEDGEMENT):
@@ -226,7 +226,7 @@ class ProfibusDevice(Device):
         if slave.watchdog_s is None:
             return
         held = bytes(slave.outputs)
-        self.journal.append(
+        self.journal.event(
             connection=0, direction="out", kind="watchdog", origin="plant", station=address, outputs=held.hex()
         )
         slave.leave()
@@ -267,7 +267,7 @@ class ProfibusDevice(Device):
             if self.line.carries():
                 if index:
                     shown["duplicate"] = True
-                self.journal.append(
+                self.journal.event(
                     connection=self._client,
                     direction="out",
                     kind="response",
@@ -279,7 +279,7 @@ class ProfibusDevice(Device):
 
     def _unrelated(self, kind: str, data: bytes) -> None:
         if self.line.carries():
-            self.journal.append(connection=self._client, direction="out", kind=kind, bytes=data.hex())
+            self.journal.event(connection=self._client, direction="out", kind=kind, bytes=data.hex())
             self.line.send(data)
 
 

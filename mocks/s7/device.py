@@ -12,7 +12,9 @@ from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
-from ..framed_connection import FramedConnection, IllegalFrame
+from pytest_otmcp.wire.framing import MalformedError
+
+from ..framed_connection import FramedConnection
 from ..tcp_device import TcpDevice
 from .faults import FaultPlan, Rule
 from .image import Plant
@@ -95,9 +97,9 @@ class _Connection(FramedConnection[S7Device]):
             self.record("in", "disconnect_request")
             self.transport.close()
         elif kind != DATA or self._session is None:
-            raise IllegalFrame(f"COTP: a TPDU {kind:02X} {'before' if self._session is None else 'after'} connecting")
+            raise MalformedError(f"COTP: a TPDU {kind:02X} {'before' if self._session is None else 'after'} connecting")
         elif tpdu[0] != 2 or tpdu[2] != 0x80:
-            raise IllegalFrame("COTP: a TPDU that is no whole PDU")
+            raise MalformedError("COTP: a TPDU that is no whole PDU")
         else:
             self._request(self._session, tpdu[3:])
 
@@ -118,9 +120,9 @@ class _Connection(FramedConnection[S7Device]):
         fields = describe(request)
         setting_up = fields["service"] == "setup"
         if not session.pdu_size and not setting_up:
-            raise IllegalFrame("S7: a request before the agreement on a PDU")
+            raise MalformedError("S7: a request before the agreement on a PDU")
         if session.pdu_size and len(raw) > session.pdu_size:
-            raise IllegalFrame(f"S7: a PDU of {len(raw)} bytes, {session.pdu_size} were agreed to")
+            raise MalformedError(f"S7: a PDU of {len(raw)} bytes, {session.pdu_size} were agreed to")
         rule = self.device.faults.match(fields)
         asked = self.record(
             "in",

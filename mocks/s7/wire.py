@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from ..framed_connection import IllegalFrame
+from pytest_otmcp.wire.framing import MalformedError
 
 __all__ = [
     "ACK",
@@ -43,15 +43,15 @@ def frame_length(buffer: bytes | bytearray) -> int | None:
     """Return the length of the TPKT at the beginning of the buffer; None while too little of it has arrived.
 
     Raises:
-        IllegalFrame: no TPKT begins like that.
+        MalformedError: no TPKT begins like that.
     """
     if buffer and buffer[0] != _VERSION:
-        raise IllegalFrame(f"TPKT: version {buffer[0]}")
+        raise MalformedError(f"TPKT: version {buffer[0]}")
     if len(buffer) < 4:
         return None
     length = int.from_bytes(buffer[2:4])
     if length < _SHORTEST:
-        raise IllegalFrame(f"TPKT: length {length}")
+        raise MalformedError(f"TPKT: length {length}")
     return length
 
 
@@ -68,19 +68,19 @@ class Connect:
         """Read a connection request.
 
         Raises:
-            IllegalFrame: it is none, or incomplete.
+            MalformedError: it is none, or incomplete.
         """
         if len(tpdu) < 7 or tpdu[0] != len(tpdu) - 1:
-            raise IllegalFrame("COTP: a connection request of a wrong length")
+            raise MalformedError("COTP: a connection request of a wrong length")
         found: dict[int, bytes] = {}
         rest = tpdu[7:]
         while rest:
             if len(rest) < 2 or len(rest) < 2 + rest[1]:
-                raise IllegalFrame("COTP: a parameter that is cut off")
+                raise MalformedError("COTP: a parameter that is cut off")
             found[rest[0]], rest = rest[2 : 2 + rest[1]], rest[2 + rest[1] :]
         called = found.get(_CALLED, b"")
         if len(called) != 2:
-            raise IllegalFrame("COTP: a connection request without a called TSAP of two bytes")
+            raise MalformedError("COTP: a connection request without a called TSAP of two bytes")
         return cls(reference=int.from_bytes(tpdu[4:6]), calling=found.get(_CALLING, b""), called=called)
 
     @property
@@ -138,13 +138,13 @@ class Pdu:
         """Read a client's PDU.
 
         Raises:
-            IllegalFrame: its header does not fit.
+            MalformedError: its header does not fit.
         """
         if len(raw) < 10 or raw[0] != 0x32 or raw[1] not in (JOB, USERDATA):
-            raise IllegalFrame("S7: no header of a job or of user data")
+            raise MalformedError("S7: no header of a job or of user data")
         reference, parameters, data = struct.unpack_from(">HHH", raw, 4)
         if len(raw) != 10 + parameters + data or not parameters:
-            raise IllegalFrame(f"S7: {len(raw)} bytes with {parameters} of parameters and {data} of data")
+            raise MalformedError(f"S7: {len(raw)} bytes with {parameters} of parameters and {data} of data")
         return cls(
             rosctr=raw[1], reference=reference, parameters=raw[10 : 10 + parameters], data=raw[10 + parameters :]
         )

@@ -53,7 +53,7 @@ class SparkplugSimulator(Device):
 
     def _observe(self, direction: Direction, packet: Packet) -> None:
         fields = describe(packet)
-        self.journal.append(
+        self.journal.event(
             connection=1, direction=direction, kind=packet.type.name, origin="plant", client_id=CLIENT_ID, **fields
         )
 

@@ -13,7 +13,7 @@ from pytest_otmcp.protocols.ethernetip import oracle
 from pytest_otmcp.protocols.ethernetip.decoder import EthernetIpConversation, contradiction, frame_length
 from pytest_otmcp.protocols.ethernetip.entries import carried_out, changes, describe, tag_of, title
 from pytest_otmcp.protocols.ethernetip.trace import facts
-from pytest_otmcp.protocols.framing import Framer, MalformedError
+from pytest_otmcp.wire.framing import Framer, MalformedError
 
 from .journals import Entry, decoded
 

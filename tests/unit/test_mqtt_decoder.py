@@ -8,8 +8,8 @@ import random
 import pytest
 
 from pytest_otmcp.protocols.conversation import Direction
-from pytest_otmcp.protocols.framing import Framer
 from pytest_otmcp.protocols.mqtt.decoder import MqttConversation, packet_length
+from pytest_otmcp.wire.framing import Framer
 
 from .journals import Entry, decoded, entry
 

@@ -13,9 +13,9 @@ from asyncua import ua as untyped_ua
 from asyncua.ua.ua_binary import struct_to_binary, to_binary
 
 from pytest_otmcp.protocols.conversation import Direction
-from pytest_otmcp.protocols.framing import Framer, MalformedError
 from pytest_otmcp.protocols.opcua.binary import BinaryReader, symbol
 from pytest_otmcp.protocols.opcua.decoder import OpcUaConversation, chunk_length
+from pytest_otmcp.wire.framing import Framer, MalformedError
 
 from .journals import Entry, decoded, entry
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
-from ..framing import MalformedError
 from ..journal import JournalEntry
 from ..reread import difference
 from .wire import LinkHeader, Segments, objects_of, unpack_frame

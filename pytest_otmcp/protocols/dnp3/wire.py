@@ -7,7 +7,7 @@ import math
 import struct
 from typing import Any
 
-from ..framing import MalformedError
+from ...wire.framing import MalformedError
 
 __all__ = ["LinkHeader", "Segments", "link_length", "objects_of", "unpack_frame"]
 

@@ -10,8 +10,8 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
+from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
-from ..framing import MalformedError
 from ..journal import JournalEntry
 from ..reread import difference
 from .message import asked_of, results_of, unwrapped

@@ -13,8 +13,8 @@ from __future__ import annotations
 import base64
 from typing import Any
 
+from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
-from ..framing import MalformedError
 from .sparkplug_decoder import decode_message
 
 __all__ = ["ANSWERS", "KINDS", "REQUESTS", "MqttConversation", "packet_length"]

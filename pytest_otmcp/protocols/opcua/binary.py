@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from ...core.error_registry import wire_codes
-from ..framing import MalformedError
+from ...wire.framing import MalformedError
 
 __all__ = ["BinaryReader", "symbol"]
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import struct
 from typing import Any
 
+from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
-from ..framing import MalformedError
 from .binary import BinaryReader, symbol
 
 __all__ = ["SERVICES", "SESSION_KEEPING", "STATE_CHANGING", "OpcUaConversation", "chunk_length"]

@@ -11,8 +11,8 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
+from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
-from ..framing import MalformedError
 from ..journal import JournalEntry
 from ..reread import difference
 

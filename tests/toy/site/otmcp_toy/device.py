@@ -62,14 +62,14 @@ class ToyDevice(Device):
     def answer(self, connection: int, line: bytes, send: Callable[[bytes], None]) -> None:
         """Do what a line asks for, and answer it."""
         fields = parsed(line)
-        asked = self.journal.append(connection=connection, direction="in", **fields)
+        asked = self.journal.frame(line, connection=connection, direction="in")
         address, reply = fields.get("address", -1), b"E\n"
         if fields["request"] and 0 <= address < _REGISTERS:
             if fields["kind"] == "write" and not self.acknowledge_only:
                 self.registers[address] = fields["value"]
             shown = fields.get("value", self.registers[address])
             reply = f"{'K' if fields['kind'] == 'write' else 'V'} {address} {shown}\n".encode()
-        self.journal.append(connection=connection, direction="out", answers=asked, **parsed(reply))
+        self.journal.frame(reply, connection=connection, direction="out", answers=asked)
         send(reply)
 
 
@@ -85,7 +85,7 @@ class _Stream(asyncio.Protocol):
         self._device.journal.connected(self._number, process_of(transport))
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._device.journal.append(connection=self._number, direction="in", kind="DISCONNECTED")
+        self._device.journal.event(connection=self._number, direction="in", kind="DISCONNECTED")
 
     def data_received(self, data: bytes) -> None:
         *lines, self._buffer = (self._buffer + data).split(b"\n")

@@ -1,4 +1,4 @@
-"""Lines of the toy protocol as journal entries: the device uses them, and the tap does so independently of it."""
+"""Lines of the toy protocol and what they say: the device reads them, and the kit makes journal entries of them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def line_length(buffer: bytes | bytearray) -> int | None:
 
 
 class ToyConversation:
-    """One connection as the tap sees it: the device answers in the order in which it is asked."""
+    """One connection: the device answers in the order in which it is asked."""
 
     def __init__(self) -> None:
         self._asked: list[Message] = []
