@@ -77,7 +77,11 @@ def request_fields(pdu: bytes) -> dict[str, Any]:
         fields |= {"address": words[0], "quantity": 1, "values": [words[1]]}
     elif function == WRITE_COIL and len(words) >= 2:
         # Section 6.5: FF00 is ON, 0000 is OFF, all other values are illegal and have no meaning.
-        fields |= {"address": words[0], "quantity": 1, "values": [{0x0000: False, 0xFF00: True}.get(words[1], words[1])]}
+        fields |= {
+            "address": words[0],
+            "quantity": 1,
+            "values": [{0x0000: False, 0xFF00: True}.get(words[1], words[1])],
+        }
     elif function == MASK_WRITE and len(words) >= 3:
         fields |= {"address": words[0], "quantity": 1, "and_mask": words[1], "or_mask": words[2]}
     elif function == READ_WRITE and len(pdu) >= 10:
