@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, ClassVar, Generic, TypeVar
 
 from pytest_otmcp.wire.framing import FrameLength, MalformedError
@@ -155,29 +154,41 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
         """Tell whether what is sent now is sent at all, so that the journal may say so."""
         return not self.transport.is_closing() and self.transport.carries()
 
-    def send(self, raw: bytes, asked: int | None, rule: AnswerRule | None = None, **said: Any) -> None:
-        """Send a frame and record it, unless nothing can be sent any more.
+    def send(
+        self,
+        raw: bytes,
+        asked: int | None,
+        rule: AnswerRule | None = None,
+        frames: Sequence[bytes] = (),
+        **said: Any,
+    ) -> None:
+        """Send a frame, or several, and record it, unless nothing can be sent any more.
 
         Args:
             raw: its bytes, before a rule cuts them off.
+            frames: to record, where they are several, or where a rule has made of their bytes what is no frame.
             asked: number of the record of the request that it answers; None for a message that nobody asked for.
             rule: that applies to the request.
             said: of it beside its bytes.
         """
         if not self.carries():
             return
-        record = partial(self.device.journal.frame, raw, connection=self.number, direction="out", answers=asked, **said)
+
+        def record(**also: Any) -> None:
+            for frame in frames or (raw,):
+                self.device.journal.frame(frame, connection=self.number, direction="out", answers=asked, **said, **also)
+
         if rule is None:
             record()
             self.transport.write(raw)
             return
         spoilt = {"truncate": rule.truncate, "drip_s": rule.manner.drip_s or None}
-        said = {name: value for name, value in spoilt.items() if value is not None}
+        shown = {name: value for name, value in spoilt.items() if value is not None}
         twice: tuple[dict[str, Any], ...] = ({}, {"duplicate": True})
         for again in twice[: 1 + rule.manner.duplicate]:
             # What is mangled on its way has an entry of its own, see Manner.
             if rule.manner.mangle is None:
-                record(**said, **again)
+                record(**shown, **again)
             with self.transport.sending(rule.manner):
                 self.transport.write(raw[: rule.truncate])
 

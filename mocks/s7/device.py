@@ -143,7 +143,8 @@ class _Connection(FramedConnection[S7Device]):
 
     def _falsify(self, asked: int, answer: Pdu, rule: Rule) -> None:
         """Send the answer that a rule has made to a request."""
-        frame, said = data_frame(answer.encoded()), {}
+        said: dict[str, Any] = {}
+        frame = data_frame(answer.encoded())
         if rule.length:
             frame = frame[:2] + ((len(frame) + rule.length) & 0xFFFF).to_bytes(2) + frame[4:]
             said = {"length": rule.length}

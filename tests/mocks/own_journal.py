@@ -34,6 +34,12 @@ class OwnJournal:
             if all(entry.get(name) == value for name, value in match.items())
         ]
 
+    @property
+    def next(self) -> int:
+        """Sequence number that the next entry will get."""
+        self._take()
+        return self._entries.next
+
     async def wait(self, seq: int, match: dict[str, Any], count: int, timeout_s: float) -> list[Any]:
         """Return the entries with these fields as soon as there are ``count``, or those that there are in the end."""
 

@@ -11,7 +11,7 @@ from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.dnp3 import oracle
 from pytest_otmcp.protocols.dnp3.decoder import Dnp3Conversation, contradiction
 from pytest_otmcp.protocols.dnp3.entries import carried_out, changes, describe, title
-from pytest_otmcp.protocols.dnp3.wire import link_length
+from pytest_otmcp.wire.dnp3.link import link_length
 from pytest_otmcp.wire.framing import Framer, MalformedError
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from pytest_otmcp.wire.framing import MalformedError
+from ..framing import MalformedError
 
 __all__ = [
     "ACK",
@@ -19,7 +19,7 @@ __all__ = [
     "LinkFrame",
     "Reassembly",
     "crc",
-    "frame_length",
+    "link_length",
     "segments",
 ]
 
@@ -59,7 +59,7 @@ def crc(data: bytes | bytearray) -> bytes:
     return (value ^ 0xFFFF).to_bytes(2, "little")
 
 
-def frame_length(buffer: bytes | bytearray) -> int | None:
+def link_length(buffer: bytes | bytearray) -> int | None:
     """Return the length of the frame at the beginning of the buffer, check sums included; None while too little of it has arrived.
 
     Raises:
