@@ -192,31 +192,6 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
             with self.transport.sending(rule.manner):
                 self.transport.write(raw[: rule.truncate])
 
-    def write(self, raw: bytes, kind: str, asked: int | None, rule: AnswerRule | None = None, **fields: Any) -> None:
-        """Send a message and record it, unless nothing can be sent any more.
-
-        Args:
-            raw: its bytes, before a rule cuts them off.
-            kind: of its entry.
-            asked: sequence number of the request that it answers; None for a message that nobody asked for.
-            rule: that applies to the request.
-            fields: of its entry.
-        """
-        if not self.carries():
-            return
-        if rule is None:
-            self.record("out", kind, answers=asked, **fields)
-            self.transport.write(raw)
-            return
-        spoilt = {"truncate": rule.truncate, "drip_s": rule.manner.drip_s or None}
-        fields |= {name: value for name, value in spoilt.items() if value is not None}
-        for again in ({}, {"duplicate": True})[: 1 + rule.manner.duplicate]:
-            # What is mangled on its way has an entry of its own, see Manner.
-            if rule.manner.mangle is None:
-                self.record("out", kind, answers=asked, **fields, **again)
-            with self.transport.sending(rule.manner):
-                self.transport.write(raw[: rule.truncate])
-
     def misbehave(self, rule: AnswerRule, send: Callable[[], None]) -> None:
         """Do what a rule wants in the place of an answer, or call what sends the answer, now or later."""
         if rule.drop:

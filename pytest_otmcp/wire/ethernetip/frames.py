@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from pytest_otmcp.wire.framing import MalformedError
+from ..framing import MalformedError
 
 __all__ = [
     "CONNECTED_ADDRESS",
@@ -70,17 +70,20 @@ class Frame:
     status: int = 0
 
     @classmethod
-    def parse(cls, raw: bytes) -> Frame:
-        """Read a client's message.
+    def parse(cls, raw: bytes, *, answer: bool = False) -> Frame:
+        """Read a message.
+
+        Args:
+            answer: it is a controller's, which may have a status.
 
         Raises:
             MalformedError: status or options of the header are not 0.
         """
         command, length, session, status, context, options = _HEADER.unpack_from(raw)
-        if status or options:
-            raise MalformedError(f"encapsulation: status {status:X} and options {options:X} in a request")
+        if options or (status and not answer):
+            raise MalformedError(f"encapsulation: status {status:X} and options {options:X} in its header")
         data = raw[_HEADER.size : _HEADER.size + length]
-        return cls(command=command, session=session, context=context, data=data)
+        return cls(command=command, session=session, context=context, data=data, status=status)
 
     def encoded(self) -> bytes:
         """Return the message as it is on the wire."""
