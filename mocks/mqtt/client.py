@@ -25,8 +25,8 @@ from .wire import Framer, ProtocolViolation
 
 __all__ = ["Client", "Observer"]
 
-Observer = Callable[[Direction, Packet], None]
-"""Function that is called with every packet and its direction, ``in`` or ``out``."""
+Observer = Callable[[Direction, bytes], None]
+"""Function that is called with the bytes of every packet and its direction, ``in`` or ``out``."""
 
 _ANSWER_TIMEOUT_S = 5.0
 
@@ -118,8 +118,9 @@ class Client(asyncio.Protocol):
 
     def _send(self, packet: Packet) -> None:
         if not self._transport.is_closing():
-            self._observe("out", packet)
-            self._transport.write(encode(packet, MQTT_311))
+            frame = encode(packet, MQTT_311)
+            self._observe("out", frame)
+            self._transport.write(frame)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -135,12 +136,12 @@ class Client(asyncio.Protocol):
         self._framer.feed(data)
         try:
             while frame := self._framer.next():
+                self._observe("in", self._framer.frame)
                 self._received(decode(*frame, MQTT_311))
         except ProtocolViolation:
             self._transport.abort()
 
     def _received(self, packet: Packet) -> None:
-        self._observe("in", packet)
         waiting = self._answers.get(packet.type)
         if waiting is not None and not waiting.done():
             waiting.set_result(packet)

@@ -9,12 +9,13 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from pytest_otmcp.wire.mqtt.sparkplug import message_fields
+
 from ..device import Device
 from ..endpoint import OpenEndpoint
 from ..network import Network
 from .broker import KIT, Broker
 from .connection import Connection
-from .describe import describe_content, describe_publish
 from .edge_node import EdgeNode
 from .faults import FaultPlan
 from .packets import Publish
@@ -116,11 +117,22 @@ class MqttDevice(Device):
 
     def _publish(self, packet: Publish) -> None:
         """Publish a message of the kit; the journal has it as received on connection 0."""
-        content = describe_content(packet.topic, packet.payload)
         if self.broker.counted is None:
-            fields = describe_publish(packet, content)
-            self.journal.event(connection=0, direction="in", kind="PUBLISH", origin="kit", client_id=KIT, **fields)
-        self.broker.publish(packet, KIT, content)
+            self.journal.event(
+                connection=0,
+                direction="in",
+                kind="PUBLISH",
+                origin="kit",
+                client_id=KIT,
+                # A poke may publish on a topic that is no UTF-8; JSON can show it with its bytes escaped only.
+                topic=packet.topic.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace"),
+                **message_fields(packet.topic, packet.payload),
+                qos=packet.qos,
+                retain=packet.retain,
+                dup=False,
+                packet_id=None,
+            )
+        self.broker.publish(packet, KIT)
 
     async def _burst(self, burst: Burst) -> None:
         if not burst.brief:

@@ -10,9 +10,8 @@ import asyncio
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from ..journal import Origin
 from .packets import Ack, PacketType
@@ -32,7 +31,6 @@ class Message:
         properties: those that travel with the message (5: section 3.3.2.3).
         publisher: client id of its sender.
         arrived: time of its arrival, in monotonic seconds.
-        content: the journal's description of topic and payload.
         will: True when it is a will.
     """
 
@@ -43,7 +41,6 @@ class Message:
     properties: Properties = field(default_factory=dict)
     publisher: str
     arrived: float
-    content: Mapping[str, Any]
     will: bool = False
 
     @property

@@ -135,12 +135,14 @@ class Framer:
     """A framer that cuts a byte stream into packets: fixed header byte and body.
 
     Attributes:
+        frame: bytes of the newest whole packet.
         minimal: True when a remaining length in more bytes than needed is a violation, as in MQTT 5 but not in 3.1.1.
     """
 
     def __init__(self, maximum_packet_size: int | None = None) -> None:
         self._buffer = bytearray()
         self._maximum = maximum_packet_size
+        self.frame = b""
         self.minimal = False
 
     def feed(self, data: bytes) -> None:
@@ -169,9 +171,9 @@ class Framer:
                 raise ProtocolViolation("the packet is larger than the maximum packet size", PACKET_TOO_LARGE)
             if end > len(buffer):
                 return None
-            first, body = buffer[0], bytes(buffer[index + 1 : end])
+            self.frame = bytes(buffer[:end])
             del buffer[:end]
-            return first, body
+            return self.frame[0], self.frame[index + 1 :]
         raise ProtocolViolation("the remaining length has more than four bytes")
 
     @property

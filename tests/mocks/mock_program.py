@@ -94,7 +94,8 @@ class Control:
     async def decoded(self) -> DeviceJournal:
         """Return the journal, with all that the device has recorded until now."""
         if self._decoded is None:
-            described = protocols().get((await self.ask("ready"))["protocol"])
+            protocol = (await self.ask("ready"))["protocol"]
+            described = protocols().get("mqtt" if protocol == "sparkplug" else protocol)
             framing = None if described is None else described.framing
             self._decoded = DeviceJournal(None if framing is None else framing.conversation)
         self._decoded.take(await self.ask("journal", since=self._decoded.taken))

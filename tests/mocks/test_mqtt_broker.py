@@ -273,7 +273,6 @@ def test_every_packet_of_both_directions_is_journalled_in_order(broker: RunningB
         "payload": base64.b64encode(b"bye").decode(),
         "qos": 0,
         "retain": False,
-        "properties": {},
     }
     assert (connect["username"], connect["protocol_level"], connect["clean_start"]) == ("u", 4, True)
     assert "secret" not in repr(entries)

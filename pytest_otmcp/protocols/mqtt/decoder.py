@@ -14,8 +14,8 @@ import base64
 from typing import Any
 
 from ...wire.framing import MalformedError
+from ...wire.mqtt.sparkplug import message_fields
 from ..conversation import Direction, Message, Outstanding
-from .sparkplug_decoder import decode_message
 
 __all__ = ["ANSWERS", "KINDS", "REQUESTS", "MqttConversation", "packet_length"]
 
@@ -126,7 +126,10 @@ class _Reader:
     def binary(self) -> bytes:
         return self.take(self.integer(2))
 
-    def string(self) -> str:
+    def string(self, *, legal: bool = True) -> str:
+        """Read a string; where it may be illegal, what is no UTF-8 is shown with its bytes escaped."""
+        if not legal:
+            return self.binary().decode("utf-8", "backslashreplace")
         try:
             text = self.binary().decode("utf-8")
         except UnicodeDecodeError:
@@ -264,7 +267,7 @@ class MqttConversation:
                 "topic": topic,
                 "qos": flags >> 3 & 3,
                 "retain": bool(flags & 0x20),
-                **_message(topic, payload),
+                **message_fields(topic, payload),
                 **will_properties,
             }
         fields["username"] = reader.string() if flags & 0x80 else None
@@ -276,7 +279,8 @@ class MqttConversation:
         qos = flags >> 1 & 3
         if qos == 3:
             raise MalformedError("PUBLISH with QoS 3")
-        topic = reader.string()
+        # Of a broker's messages an illegal topic is told; a client's are no message then.
+        topic = reader.string(legal=direction == "in")
         packet_id = reader.integer(2) if qos else None
         properties = self._properties(reader)
         alias = properties.get("properties", {}).get("topic_alias")
@@ -291,7 +295,7 @@ class MqttConversation:
             "dup": bool(flags & 8),
             "packet_id": packet_id,
             **properties,
-            **_message(topic, reader.rest()),
+            **message_fields(topic, reader.rest()),
         }
 
     def _subscription(self, kind: str, reader: _Reader) -> dict[str, Any]:
@@ -313,10 +317,3 @@ class MqttConversation:
         if not filters:
             raise MalformedError(f"{kind} without a filter")
         return fields | {"filters": filters}
-
-
-def _message(topic: str, payload: bytes) -> dict[str, Any]:
-    fields: dict[str, object] = {"payload": base64.b64encode(payload).decode()}
-    if sparkplug := decode_message(topic, payload):
-        fields["sparkplug"] = sparkplug
-    return fields
