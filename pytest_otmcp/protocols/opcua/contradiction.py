@@ -80,7 +80,7 @@ def _of_chunks(entry: JournalEntry) -> str | None:
     if entry["direction"] == "out" and message.kind not in SERVICES.values():
         # Of which service it is the fault, the request says.
         del shown["kind"]
-    return difference(dict(entry), {**shown, **message.fields}, "chunks")
+    return difference(dict(entry), {**shown, **message.fields}, "message")
 
 
 def _unwanted(entry: JournalEntry) -> str | None:
