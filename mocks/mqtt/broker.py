@@ -12,14 +12,14 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from pytest_otmcp.wire.mqtt.packets import MQTT_5, Connect, Publish, SubscriptionRequest, Will
+from pytest_otmcp.wire.mqtt.properties import Property
 from pytest_otmcp.wire.mqtt.sparkplug import message_fields
+from pytest_otmcp.wire.mqtt.topics import matches, split_shared
 
 from ..journal import Journal, Origin
 from .faults import FaultPlan
-from .packets import MQTT_5, Connect, Publish, SubscriptionRequest, Will
-from .properties import Property
 from .session import Delivery, Message, Session, Subscription
-from .topics import matches, split_shared
 
 __all__ = ["KIT", "Broker", "Limits", "Receiver"]
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from ..journal import Direction
-from .codec import decode, encode
-from .packets import (
+from pytest_otmcp.wire.mqtt.codec import decode, encode
+from pytest_otmcp.wire.mqtt.packets import (
     MQTT_311,
     Ack,
     Connack,
@@ -21,7 +20,10 @@ from .packets import (
     Subscribe,
     SubscriptionRequest,
 )
-from .wire import Framer, ProtocolViolation
+from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
+
+from ..journal import Direction
+from .framer import Framer
 
 __all__ = ["Client", "Observer"]
 

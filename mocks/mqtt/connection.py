@@ -7,17 +7,30 @@ import contextlib
 from dataclasses import replace
 from typing import Any
 
+from pytest_otmcp.wire.mqtt.codec import UnsupportedProtocol, decode, encode
+from pytest_otmcp.wire.mqtt.packets import (
+    MQTT_5,
+    MQTT_311,
+    Connack,
+    Connect,
+    Disconnect,
+    Packet,
+    PacketType,
+    Publish,
+    Suback,
+    Subscribe,
+)
+from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
+from pytest_otmcp.wire.mqtt.properties import PROTOCOL_ERROR, Property
+
 from ..journal import Origin
 from ..network import AT_ONCE, Link
 from ..peer import process_of
 from .broker import KIT, Broker
-from .codec import UnsupportedProtocol, decode, encode
 from .faults import Rule
+from .framer import Framer
 from .packet_handlers import Afterwards, accept, handle, refusal, supervised_keepalive
-from .packets import MQTT_5, MQTT_311, Connack, Connect, Disconnect, Packet, PacketType, Publish, Suback, Subscribe
-from .properties import PROTOCOL_ERROR, Property
 from .session import Delivery, Session
-from .wire import Framer, ProtocolViolation
 
 __all__ = ["Connection"]
 
@@ -101,6 +114,8 @@ class Connection(asyncio.Protocol):
                 raise ProtocolViolation("the first packet is not CONNECT", PROTOCOL_ERROR)
             while self._end_reason is None and not self._held and (frame := self._framer.next()):
                 packet = decode(*frame, self._level)
+                if isinstance(packet, Connect) and packet.protocol_level < MQTT_311:
+                    raise UnsupportedProtocol(packet.protocol_level)
                 self._last_packet = self._loop.time()
                 self._handle(packet)
                 frame = None

@@ -9,7 +9,9 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from pytest_otmcp.wire.mqtt.packets import Publish
 from pytest_otmcp.wire.mqtt.sparkplug import message_fields
+from pytest_otmcp.wire.mqtt.topics import matches
 
 from ..device import Device
 from ..endpoint import OpenEndpoint
@@ -18,9 +20,7 @@ from .broker import KIT, Broker
 from .connection import Connection
 from .edge_node import EdgeNode
 from .faults import FaultPlan
-from .packets import Publish
 from .pokes import BURST_TURN, Burst, command, disconnection, message
-from .topics import matches
 
 __all__ = ["MqttDevice"]
 

@@ -18,12 +18,12 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from pytest_otmcp.wire.mqtt.packets import MQTT_311, Connect, Publish, Will
 from pytest_otmcp.wire.mqtt.sparkplug import decode_message
 
 from ..journal import Direction
 from .client import Client, Observer
 from .edge_node_pokes import Births, EdgeNodePoke, read_poke
-from .packets import MQTT_311, Connect, Publish, Will
 from .plant import Plant, Tag
 from .sparkplug import DATATYPES, encode_payload
 from .sparkplug_values import json_safe

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from .broker import Broker
-from .packets import (
+from pytest_otmcp.wire.mqtt.packets import (
     MQTT_5,
     Ack,
     Connack,
@@ -24,9 +23,11 @@ from .packets import (
     Unsuback,
     Unsubscribe,
 )
-from .properties import PROTOCOL_ERROR, Property
+from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
+from pytest_otmcp.wire.mqtt.properties import PROTOCOL_ERROR, Property
+
+from .broker import Broker
 from .session import PACKET_IDENTIFIER_NOT_FOUND, Session
-from .wire import ProtocolViolation
 
 __all__ = ["Afterwards", "accept", "handle", "refusal", "supervised_keepalive"]
 

@@ -13,10 +13,11 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from pytest_otmcp.wire.mqtt.packets import Ack, PacketType
+from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
+from pytest_otmcp.wire.mqtt.properties import PROTOCOL_ERROR, Properties, Property
+
 from ..journal import Origin
-from .packets import Ack, PacketType
-from .properties import PROTOCOL_ERROR, Properties, Property
-from .wire import ProtocolViolation
 
 __all__ = ["Delivery", "Message", "Outlet", "Session", "Subscription"]
 

@@ -10,7 +10,8 @@ import pytest
 from mqtt_tools import Peer, Raw, RunningBroker, connect_bytes, frame, running_broker, utf8
 from pytest_otmcp.mocks.mqtt.broker import Limits
 from pytest_otmcp.mocks.mqtt.faults import FaultPlan
-from pytest_otmcp.mocks.mqtt.wire import varint
+
+from pytest_otmcp.wire.mqtt.primitives import varint
 
 
 @pytest.fixture

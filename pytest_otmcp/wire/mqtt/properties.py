@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from .wire import ProtocolViolation, Reader, binary, string, uint16, uint32, varint
+from .primitives import ProtocolViolation, Reader, binary, string, uint16, uint32, varint
 
 __all__ = ["EMPTY", "Place", "Properties", "Property", "decode", "encode"]
 
