@@ -17,8 +17,6 @@ __all__ = [
     "HEADER",
     "MASK_WRITE",
     "READS",
-    "READ_BITS",
-    "READ_REGISTERS",
     "READ_WRITE",
     "STATE_CHANGING",
     "WRITE_COIL",

@@ -14,9 +14,7 @@ from .framing import MalformedError
 
 __all__ = [
     "BROADCAST",
-    "MASTER_SAP",
     "NO_ACKNOWLEDGEMENT",
-    "REPLY",
     "SERVICES",
     "SHORT_ACKNOWLEDGEMENT",
     "TOKEN",

@@ -15,7 +15,7 @@ from ...wire.opcua import LARGEST_CHUNK
 from ..conversation import Direction, Message, Outstanding
 from .binary import BinaryReader, symbol
 
-__all__ = ["SERVICES", "SERVICE_FAULT", "SESSION_KEEPING", "STATE_CHANGING", "OpcUaConversation"]
+__all__ = ["SERVICES", "SESSION_KEEPING", "STATE_CHANGING", "OpcUaConversation"]
 
 _CONNECTION_PROTOCOL = {"HEL": "Hello", "ACK": "Acknowledge", "ERR": "Error", "RHE": "ReverseHello"}
 _POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
@@ -62,8 +62,7 @@ SERVICES = {
     12208: "FindServersOnNetwork",
     12211: "RegisterServer2",
 }
-SERVICE_FAULT = 397
-"""Type of the answer to any service that was not performed."""
+_SERVICE_FAULT = 397
 _MAY_HOLD_CREDENTIALS = "ActivateSession"
 STATE_CHANGING = frozenset(
     {"Write", "Call", "HistoryUpdate", "AddNodes", "AddReferences", "DeleteNodes", "DeleteReferences"}
@@ -167,7 +166,7 @@ class OpcUaConversation:
         reader.array(reader.string)
         reader.extension_object()
         fields = {"request_id": request_id, "request_handle": handle, "service_result": symbol(result)}
-        if number != SERVICE_FAULT:
+        if number != _SERVICE_FAULT:
             fields |= _answered(name, reader)
         return Message(direction="out", kind=name, fields=fields | _kept(name, chunks), answers=asked)
 

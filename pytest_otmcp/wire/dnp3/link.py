@@ -18,7 +18,6 @@ __all__ = [
     "UNCONFIRMED_USER_DATA",
     "LinkFrame",
     "Reassembly",
-    "crc",
     "link_length",
     "segments",
 ]
