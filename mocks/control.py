@@ -13,9 +13,9 @@ are executed one after the other; only a ``wait`` does not delay the requests af
 ``alone``                                               accept no further client, end the others; ``{"others"}``: who has connected
 ``pause`` / ``resume``                                  stop or start the free-running 1 Hz simulation
 ``tick {steps}``                                        advance the simulation by hand, seconds of plant time
-``journal {since}``                                     ``{"entries", "first", "next", "dropped", "peers"}``
-``forget {before}``                                     release the entries before this one; ``{"first", "next"}``
-``wait {since, match, count, timeout_s}``               ``{"entries", "first", "next", "peers"}``, once ``count`` entries match
+``journal {since}``                                     ``{"records", "first", "next", "dropped", "peers"}``, see :mod:`.journal`
+``wait {since, timeout_s}``                             the same, as soon as there are any, or after ``timeout_s``
+``forget {before}``                                     release the records before this one; ``{"first", "next"}``
 ======================================================  ========================================================
 """
 
@@ -179,15 +179,8 @@ class ControlServer:
         # from its acceptance to its first request.
         for _ in range(_TURNS):
             await asyncio.sleep(0)
-        journal = self._device.journal
-        entries = journal.since(_member(request, "since", int))
-        return {
-            "entries": entries,
-            "first": journal.first,
-            "next": journal.next,
-            "dropped": journal.dropped,
-            "peers": journal.peers(entries),
-        }
+        self._device.journal.reads += 1
+        return self._records(request)
 
     async def _forget(self, request: Request) -> dict[str, Any]:
         journal = self._device.journal
@@ -195,19 +188,19 @@ class ControlServer:
         return {"first": journal.first, "next": journal.next}
 
     async def _wait(self, request: Request) -> dict[str, Any]:
-        timeout_s = min(_member(request, "timeout_s", float, 1.0), _WAIT_LIMIT_S)
+        timeout_s = min(_member(request, "timeout_s", float), _WAIT_LIMIT_S)
+        await self._device.journal.wait(_member(request, "since", int), timeout_s)
+        return self._records(request)
+
+    def _records(self, request: Request) -> dict[str, Any]:
         journal = self._device.journal
-        entries = await journal.wait(
-            _member(request, "since", int),
-            _member(request, "match", dict),
-            _member(request, "count", int, 1),
-            timeout_s,
-        )
+        records = journal.since(_member(request, "since", int))
         return {
-            "entries": entries,
+            "records": [record.told() for record in records],
             "first": journal.first,
             "next": journal.next,
-            "peers": journal.peers(entries),
+            "dropped": journal.dropped,
+            "peers": journal.peers(records),
         }
 
 

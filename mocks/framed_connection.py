@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
+
+from pytest_otmcp.wire.framing import FrameLength, MalformedError
 
 from .fault_plan import FaultRule
 from .fault_rules import FLAG, integer, number
@@ -18,7 +20,7 @@ from .network import MANNERS, Link
 from .peer import process_of
 from .tcp_device import TcpDevice
 
-__all__ = ["ANSWER_FAULTS", "AnswerRule", "FramedConnection", "IllegalFrame"]
+__all__ = ["ANSWER_FAULTS", "AnswerRule", "FramedConnection"]
 
 _MOST_SHOWN = 300
 """Bytes of malformed input that the journal keeps."""
@@ -55,10 +57,6 @@ class AnswerRule(FaultRule):
     reset: bool = False
 
 
-class IllegalFrame(ValueError):
-    """The bytes are no frame of the protocol; the text says why."""
-
-
 D = TypeVar("D", bound=TcpDevice)
 
 
@@ -68,7 +66,7 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
     Args:
         device: that the client has connected to.
         frame_length: returns the length in bytes of the frame at the beginning of a buffer that is not empty, None while too little
-            of it has arrived; raises :class:`IllegalFrame` when no frame begins like that.
+            of it has arrived; raises :class:`MalformedError` when no frame begins like that.
 
     Attributes:
         device: that the client has connected to.
@@ -79,7 +77,7 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
 
     garbage: ClassVar[bytes] = b"\xde\xad\xbe\xef\xff\xff\x00\x01"
 
-    def __init__(self, device: D, frame_length: Callable[[bytearray], int | None]) -> None:
+    def __init__(self, device: D, frame_length: FrameLength) -> None:
         self.device = device
         self.transport: Link
         self.number: int
@@ -91,12 +89,23 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
         """Handle a frame that has arrived.
 
         Raises:
-            IllegalFrame: it is none; the connection is ended.
+            MalformedError: it is none; the connection is ended.
         """
 
     def record(self, direction: Direction, kind: str, **fields: Any) -> int:
-        """Record a message or an event of this connection; return its sequence number."""
-        return self.device.journal.append(connection=self.number, direction=direction, kind=kind, **fields)
+        """Record an event of this connection that is no frame; return the number of the record."""
+        return self.device.journal.event(connection=self.number, direction=direction, kind=kind, **fields)
+
+    def received(self, raw: bytes, rule: FaultRule | None = None, **said: Any) -> int:
+        """Record a frame that came in; return the number of the record.
+
+        Args:
+            rule: that applies to it.
+            said: of it beside its bytes.
+        """
+        if rule is not None:
+            said["fault"] = rule.action
+        return self.device.journal.frame(raw, connection=self.number, direction="in", **said)
 
     # -- what comes in --------------------------------------------------------------------------------------------
 
@@ -128,7 +137,7 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
                 if length is None or len(self._buffer) < length:
                     return
                 self.frame(bytes(self._buffer[:length]))
-            except IllegalFrame as fault:
+            except MalformedError as fault:
                 # Where the next frame begins can no longer be known.
                 self._malformed(str(fault))
                 self.transport.abort()
@@ -145,28 +154,41 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
         """Tell whether what is sent now is sent at all, so that the journal may say so."""
         return not self.transport.is_closing() and self.transport.carries()
 
-    def write(self, raw: bytes, kind: str, asked: int | None, rule: AnswerRule | None = None, **fields: Any) -> None:
-        """Send a message and record it, unless nothing can be sent any more.
+    def send(
+        self,
+        raw: bytes,
+        asked: int | None,
+        rule: AnswerRule | None = None,
+        frames: Sequence[bytes] = (),
+        **said: Any,
+    ) -> None:
+        """Send a frame, or several, and record it, unless nothing can be sent any more.
 
         Args:
             raw: its bytes, before a rule cuts them off.
-            kind: of its entry.
-            asked: sequence number of the request that it answers; None for a message that nobody asked for.
+            frames: to record, where they are several, or where a rule has made of their bytes what is no frame.
+            asked: number of the record of the request that it answers; None for a message that nobody asked for.
             rule: that applies to the request.
-            fields: of its entry.
+            said: of it beside its bytes.
         """
         if not self.carries():
             return
+
+        def record(**also: Any) -> None:
+            for frame in frames or (raw,):
+                self.device.journal.frame(frame, connection=self.number, direction="out", answers=asked, **said, **also)
+
         if rule is None:
-            self.record("out", kind, answers=asked, **fields)
+            record()
             self.transport.write(raw)
             return
         spoilt = {"truncate": rule.truncate, "drip_s": rule.manner.drip_s or None}
-        fields |= {name: value for name, value in spoilt.items() if value is not None}
-        for again in ({}, {"duplicate": True})[: 1 + rule.manner.duplicate]:
+        shown = {name: value for name, value in spoilt.items() if value is not None}
+        twice: tuple[dict[str, Any], ...] = ({}, {"duplicate": True})
+        for again in twice[: 1 + rule.manner.duplicate]:
             # What is mangled on its way has an entry of its own, see Manner.
             if rule.manner.mangle is None:
-                self.record("out", kind, answers=asked, **fields, **again)
+                record(**shown, **again)
             with self.transport.sending(rule.manner):
                 self.transport.write(raw[: rule.truncate])
 
@@ -180,7 +202,9 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
             self.transport.reset()
         elif rule.garbage:
             # The entry answers no request: no client can tell which request the bytes are for.
-            self.write(self.garbage, "garbage", None, bytes=self.garbage.hex())
+            if self.carries():
+                self.record("out", "garbage", bytes=self.garbage.hex())
+                self.transport.write(self.garbage)
         elif rule.delay_s:
             asyncio.get_running_loop().call_later(rule.delay_s, send)
         else:

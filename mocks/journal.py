@@ -1,7 +1,7 @@
-"""The journal of a device: every request and answer in order; a client can wait for later entries.
+"""The journal of a device as the device keeps it: the frames that passed, and the events that are no frame, in order.
 
-Every entry of every protocol has the fields of :class:`JournalEntry`. A protocol adds fields of its own; its package says
-which (``modbus.pdu``, ``mqtt.describe``, ``opcua.session``).
+What a frame says is none of its business: the kit decodes frames when it wants to know (``pytest_otmcp.plant.journal``). A device
+says of a frame only what its bytes do not: which message it answers, and what a fault rule has done to it.
 """
 
 from __future__ import annotations
@@ -13,52 +13,56 @@ import time
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal
 
 from .peer import Process
 
-__all__ = ["Direction", "Entry", "Journal", "JournalEntry", "Origin"]
+__all__ = ["Direction", "Journal", "Origin", "Record"]
 
 Direction = Literal["in", "out"]
 Origin = Literal["client", "plant", "kit"]
 
+_CAPACITY = 200_000
+"""A limit against floods. Records that were read are to be released with :meth:`Journal.forget`."""
 
-class JournalEntry(TypedDict):
-    """The fields that every entry of every protocol has.
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Record:
+    """A frame, or an event that is none.
 
     Attributes:
-        seq: sequence number: 0 for the first entry of a device process, one more for each that follows.
+        number: 0 for the first record of a device process, one more for each that follows.
         t_ns: time of the monotonic clock, in nanoseconds.
         connection: number of the connection, 1 for the first; 0 for none.
-        direction: ``in`` for a message that the device received and for the state of a connection, ``out`` for a
-            message that it sent.
-        kind: the type of the message, in the protocol's words.
-        request: True when this message asks the plant for something. Session keeping is no request where the protocol
-            separates the two, and a message of the plant's own clients or of the kit never is one.
-        state_changing: True when this message may change the plant; only a request can.
-        answers: sequence number of the entry that this message answers; None for an unsolicited message.
+        direction: ``in`` for what the device received and for the state of a connection, ``out`` for what it sent.
         origin: whose connection it is: ``client`` (a client from outside), ``plant`` (a simulated part of the plant that
             is a client of its own device), ``kit`` (a poke of the kit that the protocol shows as a message).
+        frame: its bytes; None for an event.
+        answers: number of the record of the message that this one answers, as far as the device says so.
+        fields: JSON-safe; of a frame what the device says beside its bytes, of an event its ``kind`` and what else there is to say.
     """
 
-    seq: int
+    number: int
     t_ns: int
     connection: int
     direction: Direction
-    kind: str
-    request: bool
-    state_changing: bool
-    answers: int | None
     origin: Origin
+    frame: bytes | None
+    answers: int | None
+    fields: Mapping[str, Any]
 
-
-Entry = dict[str, Any]
-"""The fields of a :class:`JournalEntry` and those of the protocol, JSON-safe."""
-
-_CAPACITY = 200_000
-"""A limit against floods. Entries that were read are to be released with :meth:`Journal.forget`."""
-
-_NO_MESSAGES = frozenset({"CONNECTED", "DISCONNECTED", "malformed", "lost"})
+    def told(self) -> dict[str, Any]:
+        """Return the record for the control channel."""
+        return {
+            "number": self.number,
+            "t_ns": self.t_ns,
+            "connection": self.connection,
+            "direction": self.direction,
+            "origin": self.origin,
+            "frame": None if self.frame is None else self.frame.hex(),
+            "answers": self.answers,
+            "fields": self.fields,
+        }
 
 
 @dataclass(slots=True, kw_only=True)
@@ -68,41 +72,39 @@ class _Peer:
     Attributes:
         accepted_ns: time at which the connection was accepted.
         process: that had it then; None if that cannot be known.
-        spoke: sequence number of its first message that is one of the protocol.
-        ended: sequence number of its end.
+        ended: number of the record of its end.
     """
 
     accepted_ns: int
     process: Process | None
-    spoke: int | None = None
     ended: int | None = None
 
 
 class Journal:
-    """An append-only record. Sequence numbers begin at 0 and are never reused; the oldest entries are dropped when the
-    capacity is reached, and are counted.
+    """An append-only record. Numbers begin at 0 and are never reused; the oldest records are dropped when the capacity is
+    reached, and are counted.
 
     Attributes:
-        next: sequence number that the next entry will get.
-        dropped: number of entries that were dropped before they were released.
-        reads: how often somebody has asked for entries.
+        next: number that the next record will get.
+        dropped: number of records that were dropped before they were released.
+        reads: how often somebody has asked for records.
     """
 
     def __init__(self, capacity: int = _CAPACITY) -> None:
-        self._entries: deque[Entry] = deque(maxlen=capacity)
+        self._records: deque[Record] = deque(maxlen=capacity)
         self.next = 0
         self.dropped = 0
         self.reads = 0
         self._peers: dict[int, _Peer] = {}
-        self._waiters: list[_Waiter] = []
+        self._news = asyncio.Event()
 
     @property
     def first(self) -> int:
-        """Sequence number of the oldest entry that is kept; that of the next entry while there is none."""
-        return self.next - len(self._entries)
+        """Number of the oldest record that is kept; that of the next record while there is none."""
+        return self.next - len(self._records)
 
     def connected(self, connection: int, process: Process | None, **fields: Any) -> int:
-        """Record a new connection of a client; return the sequence number.
+        """Record a new connection of a client; return the number of the record.
 
         Args:
             connection: its number.
@@ -110,106 +112,109 @@ class Journal:
             fields: JSON-safe facts of the protocol.
         """
         self.heard_of(connection, process)
-        return self.append(connection=connection, direction="in", kind="CONNECTED", **fields)
+        return self.event(connection=connection, direction="in", kind="CONNECTED", **fields)
 
     def heard_of(self, connection: int, process: Process | None) -> None:
         """Note who has the other end of a connection without a beginning that could be recorded, as senders of datagrams are."""
         self._peers[connection] = _Peer(accepted_ns=time.monotonic_ns(), process=process)
 
-    def append(
+    def frame(
+        self,
+        frame: bytes,
+        *,
+        connection: int,
+        direction: Direction,
+        answers: int | None = None,
+        origin: Origin = "client",
+        **fields: Any,
+    ) -> int:
+        """Record a frame of this moment, as it is on the wire; return the number of the record.
+
+        Args:
+            frame, connection, direction, answers, origin: see :class:`Record`.
+            fields: what the device says of it beside its bytes, such as the ``fault`` that a rule makes of it.
+        """
+        return self._append(connection, direction, origin, frame, answers, fields)
+
+    def event(
         self,
         *,
         connection: int,
         direction: Direction,
         kind: str,
-        request: bool = False,
-        state_changing: bool = False,
         answers: int | None = None,
         origin: Origin = "client",
         **fields: Any,
     ) -> int:
-        """Record a message or an event of this moment; return its sequence number.
+        """Record an event of this moment that is no frame; return the number of the record.
+
+        The messages of a protocol that the kit has no decoder for are events too: their fields then say ``request`` and
+        ``state_changing``.
 
         Args:
-            connection, direction, kind, request, state_changing, answers, origin: see :class:`JournalEntry`.
-            fields: JSON-safe facts of the protocol.
+            connection, direction, answers, origin: see :class:`Record`.
+            kind: type of the event.
+            fields: JSON-safe facts of it.
         """
-        contract: JournalEntry = {
-            "seq": self.next,
-            "t_ns": time.monotonic_ns(),
-            "connection": connection,
-            "direction": direction,
-            "kind": kind,
-            "request": request,
-            "state_changing": state_changing,
-            "answers": answers,
-            "origin": origin,
-        }
-        entry: Entry = {**contract, **fields}
-        if len(self._entries) == self._entries.maxlen:
-            self.dropped += 1
-        self._entries.append(entry)
-        if direction == "in" and (peer := self._peers.get(connection)) is not None:
-            if kind == "DISCONNECTED":
-                peer.ended = self.next
-            elif peer.spoke is None and kind not in _NO_MESSAGES:
-                peer.spoke = self.next
-        self.next += 1
-        for waiter in self._waiters:
-            waiter.offer(entry)
-        return contract["seq"]
+        if kind == "DISCONNECTED" and connection in self._peers:
+            self._peers[connection].ended = self.next
+        return self._append(connection, direction, origin, None, answers, {"kind": kind, **fields})
 
-    def since(self, seq: int) -> list[Entry]:
-        """Return the kept entries with this sequence number or a later one; the cost is that of these entries alone."""
-        self.reads += 1
+    def _append(
+        self,
+        connection: int,
+        direction: Direction,
+        origin: Origin,
+        frame: bytes | None,
+        answers: int | None,
+        fields: Mapping[str, Any],
+    ) -> int:
+        record = Record(
+            number=self.next,
+            t_ns=time.monotonic_ns(),
+            connection=connection,
+            direction=direction,
+            origin=origin,
+            frame=frame,
+            answers=answers,
+            fields=fields,
+        )
+        if len(self._records) == self._records.maxlen:
+            self.dropped += 1
+        self._records.append(record)
+        self.next += 1
+        self._news.set()
+        return record.number
+
+    def since(self, number: int) -> list[Record]:
+        """Return the kept records with this number or a later one; the cost is that of these records alone."""
         # A deque is slow to index in its middle, but not to walk from its end.
-        newest = list(itertools.islice(reversed(self._entries), max(0, self.next - seq)))
+        newest = list(itertools.islice(reversed(self._records), max(0, self.next - number)))
         newest.reverse()
         return newest
 
     def forget(self, before: int) -> None:
-        """Release the entries with a smaller sequence number for good; sequence numbers go on."""
+        """Release the records with a smaller number for good; numbers go on."""
         for _ in range(min(before, self.next) - self.first):
-            self._entries.popleft()
+            self._records.popleft()
         first = self.first
         self._peers = {
             number: peer for number, peer in self._peers.items() if peer.ended is None or peer.ended >= first
         }
 
-    def peers(self, entries: Iterable[Entry]) -> dict[int, dict[str, Any]]:
-        """Return what is known of the other ends of the connections that these entries are about."""
-        numbers = dict.fromkeys(entry["connection"] for entry in entries)
-        return {number: asdict(self._peers[number]) for number in numbers if number in self._peers}
+    def peers(self, records: Iterable[Record]) -> dict[int, dict[str, Any]]:
+        """Return what is known of the other ends of the connections that these records are about."""
+        numbers = dict.fromkeys(record.connection for record in records)
+        return {
+            number: {"accepted_ns": peer.accepted_ns, "process": None if peer.process is None else asdict(peer.process)}
+            for number in numbers
+            if (peer := self._peers.get(number)) is not None
+        }
 
-    async def wait(self, seq: int, match: Mapping[str, Any], count: int, timeout_s: float) -> list[Entry]:
-        """Wait for entries from ``seq`` on whose fields equal ``match``; return them as soon as there are ``count``, or
-        those found after ``timeout_s`` seconds."""
-        waiter = _Waiter(match, count)
-        for entry in self.since(seq):
-            waiter.offer(entry)
-        self._waiters.append(waiter)
-        try:
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(waiter.satisfied.wait(), timeout_s)
-        finally:
-            self._waiters.remove(waiter)
-        return waiter.found
-
-
-class _Waiter:
-    """A collector of the entries that one ``wait`` asks for."""
-
-    def __init__(self, match: Mapping[str, Any], count: int) -> None:
-        self._match = dict(match)
-        self._count = count
-        self.found: list[Entry] = []
-        self.satisfied = asyncio.Event()
-        if count <= 0:
-            self.satisfied.set()
-
-    def offer(self, entry: Entry) -> None:
-        """Take the entry if it matches. A field that the entry lacks equals nothing, not even None."""
-        if all(name in entry and entry[name] == value for name, value in self._match.items()):
-            self.found.append(entry)
-            if len(self.found) >= self._count:
-                self.satisfied.set()
+    async def wait(self, number: int, timeout_s: float) -> None:
+        """Return when there is a record of this number, or after so many seconds."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s):
+                while self.next <= number:
+                    self._news.clear()
+                    await self._news.wait()

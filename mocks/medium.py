@@ -47,7 +47,7 @@ class Medium(ABC):
         if condition == self.condition:
             return
         self.condition = condition
-        self._journal.append(connection=0, direction="out", kind="network", origin="kit", condition=condition)
+        self._journal.event(connection=0, direction="out", kind="network", origin="kit", condition=condition)
         self._changed()
 
     @abstractmethod
@@ -65,7 +65,7 @@ class MessageMedium(Medium):
     def _arrived(self, number: int, count: int, deliver: Callable[[], None]) -> None:
         """Deliver so many bytes of a client, or lose them, or hold them back."""
         if self.condition == "black_hole":
-            self._journal.append(connection=number, direction="in", kind="lost", count=count)
+            self._journal.event(connection=number, direction="in", kind="lost", count=count)
         elif self.condition == "stalled":
             self._held.append(deliver)
         else:

@@ -137,11 +137,11 @@ class Network(Medium):
 
     def lost(self, link: Link, count: int) -> None:
         """Record bytes that a client sent and that never reached the device."""
-        self._journal.append(connection=link.number, direction="in", kind="lost", count=count)
+        self._journal.event(connection=link.number, direction="in", kind="lost", count=count)
 
     def mangled(self, link: Link, data: bytes) -> None:
         """Record what was sent in an answer's place. Like garbage it answers nothing: no client can tell what it is."""
-        self._journal.append(connection=link.number, direction="out", kind="mangled", bytes=data.hex())
+        self._journal.event(connection=link.number, direction="out", kind="mangled", bytes=data.hex())
 
     def close(self) -> None:
         """End every connection, also those whose device has forgotten them."""

@@ -7,10 +7,10 @@ from typing import Any
 
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt.entries import MqttEntry, adapter_packets, payload_of
-from pytest_otmcp.protocols.mqtt.sparkplug_decoder import decode_message
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
+from pytest_otmcp.wire.mqtt.sparkplug import decode_message
 
 __all__ = ["Messages", "edge_node_of", "nonce", "sparkplug", "until", "until_it_works"]
 

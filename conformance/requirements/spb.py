@@ -16,11 +16,11 @@ from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt import oracle
 from pytest_otmcp.protocols.mqtt.commands import REBIRTH, SCAN_RATE, commands
 from pytest_otmcp.protocols.mqtt.entries import adapter_packets, as_mqtt, describe, payload_of
-from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_payload
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
+from pytest_otmcp.wire.mqtt.sparkplug import DATA_TYPES, decode_payload
 
 from ..tasks.messages import sync_point
 from .mqtt_steps import Messages, edge_node_of, nonce, sparkplug, until, until_it_works

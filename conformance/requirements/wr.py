@@ -19,7 +19,6 @@ from pytest_otmcp.protocols.modbus.entries import as_modbus, describe, points
 from pytest_otmcp.protocols.mqtt.commands import SCAN_RATE, asks_for_births
 from pytest_otmcp.protocols.mqtt.entries import payload_of
 from pytest_otmcp.protocols.mqtt.oracle import Publications
-from pytest_otmcp.protocols.mqtt.sparkplug_decoder import parse_topic
 from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
 from pytest_otmcp.protocols.oracle import state_changing
 from pytest_otmcp.protocols.registry import protocols
@@ -29,6 +28,7 @@ from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
+from pytest_otmcp.wire.mqtt.sparkplug import parse_topic
 
 from ..commanded import carried_out
 from ..commanded import guarded as guarded_command

@@ -13,15 +13,9 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from ..datagrams import Datagrams
-from ..device import Device
-from ..endpoint import OpenEndpoint
-from . import services
-from .faults import FaultPlan, Rule
-from .frames import (
+from pytest_otmcp.wire.bacnet.frames import (
     ABORT_SEGMENTATION,
     Apdu,
-    BadFrameError,
     Frame,
     LinkMessage,
     NetworkMessage,
@@ -31,18 +25,24 @@ from .frames import (
     link_result,
     unicast,
 )
-from .names import Confirmed, Refusal, Unconfirmed
+from pytest_otmcp.wire.bacnet.services import Asked, Confirmed, Rejected, Unconfirmed, asked_of, who_has, who_is
+from pytest_otmcp.wire.bacnet.values import Value, encode
+from pytest_otmcp.wire.framing import MalformedError
+
+from ..datagrams import Datagrams
+from ..device import Device
+from ..endpoint import OpenEndpoint
+from .faults import FaultPlan, Rule
+from .names import Refusal
 from .plant import DEVICE, Plant
 from .pokes import poke
-from .services import Answer, Asked, FailedWriteError, Rejected, asked_of, execute, read_answer
-from .values import MalformedError, Value, encode
+from .services import Answer, FailedWriteError, execute, i_am, i_have, is_for, object_asked_for, read_answer
 
 __all__ = ["BacnetDevice"]
 
 _GARBAGE = b"\xde\xad\xbe\xef\xff\xff\x00\x01"
 _LINK_REFUSALS = {1: 0x10, 2: 0x20, 5: 0x30, 6: 0x40, 8: 0x50, 9: 0x60}
 """Functions of the virtual link that only a broadcast management device has, and the result that refuses each (J.2.1)."""
-_LINK_CHANGES = frozenset({1, 8})
 
 Send = Callable[[bytes], None]
 
@@ -103,12 +103,10 @@ class BacnetDevice(Device):
         try:
             frame = frame_of(datagram)
             apdu = head_of(frame.apdu)
-        except BadFrameError as error:
-            client.note("malformed", reason=str(error))
         except LinkMessage as message:
             client.link_message(message.function)
-        except NetworkMessage as message:
-            client.note("network-message", message=message.message)
+        except (MalformedError, NetworkMessage):
+            client.note()
         else:
             client.apdu(frame, apdu)
 
@@ -123,19 +121,16 @@ class _Client:
         self._transmit = send
         self._source = b""
 
-    def note(self, kind: str, **fields: Any) -> int:
+    def note(self, rule: Rule | None = None) -> int:
         """Record what arrived."""
-        return self._device.journal.append(
-            connection=self._number, direction="in", kind=kind, **fields, bytes=self._datagram.hex()
-        )
+        said: dict[str, Any] = {} if rule is None else {"fault": rule.action}
+        return self._device.journal.frame(self._datagram, connection=self._number, direction="in", **said)
 
     def link_message(self, function: int) -> None:
         """Answer a message of the virtual link: the device is no broadcast management device."""
-        changes = function in _LINK_CHANGES
-        asked = self.note("bvlc", function=function, request=function in _LINK_REFUSALS, state_changing=changes)
+        asked = self.note()
         if function in _LINK_REFUSALS:
-            result = link_result(_LINK_REFUSALS[function])
-            self._answer(asked, result, "bvlc", function=0)
+            self._answer(asked, link_result(_LINK_REFUSALS[function]))
 
     def apdu(self, frame: Frame, apdu: Apdu) -> None:
         """Execute and answer an APDU."""
@@ -145,43 +140,25 @@ class _Client:
         elif apdu.kind == PduType.UNCONFIRMED_REQUEST:
             self._unconfirmed(apdu)
         else:
-            named = {"service": apdu.service} if apdu.service is not None else {}
-            self.note("message", pdu_type=apdu.kind, invoke_id=apdu.invoke_id, **named)
+            self.note()
 
     # -- unconfirmed services ---------------------------------------------------------------------------------
 
     def _unconfirmed(self, apdu: Apdu) -> None:
-        service = int(apdu.service or 0)
-        fields: dict[str, Any] = {"pdu_type": apdu.kind, "service": service}
-        reply: tuple[bytes, dict[str, Any]] | None = None
+        reply: bytes | None = None
         try:
-            if service == Unconfirmed.WHO_IS:
-                bounds = services.who_is(apdu.data)
-                fields |= bounds
-                if services.is_for(bounds):
-                    reply = services.i_am(), {"service": int(Unconfirmed.I_AM), "device": DEVICE}
-            elif service == Unconfirmed.WHO_HAS:
-                bounds, found = services.who_has(self._device.plant, apdu.data)
-                fields |= bounds
-                if found is not None:
-                    reply = services.i_have(*found), {"service": int(Unconfirmed.I_HAVE), "device": DEVICE}
-        except MalformedError as error:
-            self.note("malformed", reason=str(error))
+            if apdu.service == Unconfirmed.WHO_IS:
+                reply = i_am() if is_for(who_is(apdu.data)) else None
+            elif apdu.service == Unconfirmed.WHO_HAS:
+                found = object_asked_for(self._device.plant, who_has(apdu.data))
+                reply = None if found is None else i_have(*found)
+        except MalformedError:
+            self.note()
             return
-        changes = service in services.STATE_CHANGING_UNCONFIRMED
-        is_request = changes or service in (Unconfirmed.WHO_IS, Unconfirmed.WHO_HAS)
-        rule = self._device.faults.match_discovery() if service == Unconfirmed.WHO_IS else None
-        asked = self.note(
-            "request" if is_request else "message",
-            request=is_request,
-            state_changing=changes,
-            **fields,
-            **_of(rule),
-        )
+        rule = self._device.faults.match_discovery() if apdu.service == Unconfirmed.WHO_IS else None
+        asked = self.note(rule)
         if reply is not None and (rule is None or not (rule.drop or rule.lose)):
-            data, said = reply
-            late = 0.0 if rule is None else rule.delay_s
-            self._later(late, partial(self._send, asked, data, {"pdu_type": 1, **said}))
+            self._later(0.0 if rule is None else rule.delay_s, partial(self._send, asked, reply))
 
     # -- confirmed services -----------------------------------------------------------------------------------
 
@@ -195,32 +172,23 @@ class _Client:
             except Rejected as error:
                 refused = error
         rule = self._device.faults.match(service, asked_for.objects() if asked_for is not None else ())
-        asked = self.note(
-            "request",
-            request=True,
-            state_changing=service in services.STATE_CHANGING,
-            pdu_type=apdu.kind,
-            service=service,
-            invoke_id=invoke_id,
-            **(asked_for.shown() if asked_for is not None else {}),
-            **_of(rule),
-        )
+        asked = self.note(rule)
         if rule is not None and rule.lose:
             return
         reply_id = (invoke_id + (rule.invoke_id if rule is not None else 0)) & 0xFF
         if apdu.is_segmented:
-            data, said = _abort(reply_id, ABORT_SEGMENTATION)
+            data = _abort(reply_id, ABORT_SEGMENTATION)
         elif refused is not None or asked_for is None:
-            data, said = _reject(reply_id, refused.reason if refused is not None else 0)
+            data = _reject(reply_id, refused.reason if refused is not None else 0)
         else:
-            data, said = self._execute(rule, service, reply_id, asked_for)
+            data = self._execute(rule, service, reply_id, asked_for)
             if len(data) > apdu.largest:
-                data, said = _abort(reply_id, ABORT_SEGMENTATION)
+                data = _abort(reply_id, ABORT_SEGMENTATION)
         if rule is None or not rule.drop:
             late = 0.0 if rule is None else rule.delay_s
-            self._later(late, partial(self._send, asked, data, {**said, "invoke_id": reply_id}, rule))
+            self._later(late, partial(self._send, asked, data, rule))
 
-    def _execute(self, rule: Rule | None, service: int, reply_id: int, asked: Asked) -> tuple[bytes, dict[str, Any]]:
+    def _execute(self, rule: Rule | None, service: int, reply_id: int, asked: Asked) -> bytes:
         if rule is not None and rule.reject is not None:
             return _reject(reply_id, rule.reject)
         if rule is not None and rule.abort is not None:
@@ -241,18 +209,15 @@ class _Client:
         except Rejected as error:
             return _reject(reply_id, error.reason)
         except FailedWriteError as failure:
-            return _error(reply_id, service, failure.refusal, failure.data())
+            return _error(reply_id, service, failure.data())
         except Refusal as refusal:
             codes = b"".join(encode(Value(kind="enumerated", value=code)) for code in refusal.error)
-            return _error(reply_id, service, refusal, codes)
+            return _error(reply_id, service, codes)
         if rule is not None and service == Confirmed.READ_PROPERTY:
             answer = _falsified(rule, asked, answer)
-        said: dict[str, Any]
         if answer.data is None:
-            said = {"pdu_type": int(PduType.SIMPLE_ACK), "service": service}
-            return bytes([PduType.SIMPLE_ACK << 4, reply_id, service]), said
-        said = {"pdu_type": int(PduType.COMPLEX_ACK), "service": service, "results": list(answer.results)}
-        return bytes([PduType.COMPLEX_ACK << 4, reply_id, service]) + answer.data, said
+            return bytes([PduType.SIMPLE_ACK << 4, reply_id, service])
+        return bytes([PduType.COMPLEX_ACK << 4, reply_id, service]) + answer.data
 
     # -- the way back -----------------------------------------------------------------------------------------
 
@@ -262,10 +227,10 @@ class _Client:
         else:
             send()
 
-    def _send(self, asked: int, apdu: bytes, said: Mapping[str, Any], rule: Rule | None = None) -> None:
+    def _send(self, asked: int, apdu: bytes, rule: Rule | None = None) -> None:
         datagram = unicast(apdu, self._source)
         if rule is None:
-            self._answer(asked, datagram, "response", **said)
+            self._answer(asked, datagram)
         elif rule.garbage:
             # The entry answers no request: no client can tell which request the bytes are for.
             self._unrelated("garbage", _GARBAGE)
@@ -274,41 +239,32 @@ class _Client:
         elif rule.truncate is not None:
             self._unrelated("mangled", datagram[: rule.truncate])
         else:
-            for index in range(2 if rule.manner.duplicate else 1):
-                self._answer(asked, datagram, "response", **said, **({"duplicate": True} if index else {}))
+            self._answer(asked, datagram)
+            if rule.manner.duplicate:
+                self._answer(asked, datagram, duplicate=True)
 
-    def _answer(self, asked: int, datagram: bytes, kind: str, **said: Any) -> None:
+    def _answer(self, asked: int, datagram: bytes, **said: Any) -> None:
         if self._device.network.carries():
-            self._device.journal.append(
-                connection=self._number, direction="out", kind=kind, answers=asked, **said, bytes=datagram.hex()
-            )
+            self._device.journal.frame(datagram, connection=self._number, direction="out", answers=asked, **said)
             self._transmit(datagram)
 
     def _unrelated(self, kind: str, data: bytes) -> None:
         if self._device.network.carries():
-            self._device.journal.append(connection=self._number, direction="out", kind=kind, bytes=data.hex())
+            self._device.journal.event(connection=self._number, direction="out", kind=kind, bytes=data.hex())
             self._transmit(data)
 
 
-def _of(rule: Rule | None) -> dict[str, Any]:
-    return {} if rule is None else {"fault": rule.action}
+def _error(invoke_id: int, service: int, data: bytes) -> bytes:
+    return bytes([PduType.ERROR << 4, invoke_id, service]) + data
 
 
-def _error(invoke_id: int, service: int, refusal: Refusal, data: bytes) -> tuple[bytes, dict[str, Any]]:
-    kind = PduType.ERROR
-    said = {"pdu_type": int(kind), "service": service, "error": list(refusal.error)}
-    return bytes([kind << 4, invoke_id, service]) + data, said
+def _reject(invoke_id: int, reason: int) -> bytes:
+    return bytes([PduType.REJECT << 4, invoke_id, reason])
 
 
-def _reject(invoke_id: int, reason: int) -> tuple[bytes, dict[str, Any]]:
-    kind = PduType.REJECT
-    return bytes([kind << 4, invoke_id, reason]), {"pdu_type": int(kind), "reject": reason}
-
-
-def _abort(invoke_id: int, reason: int) -> tuple[bytes, dict[str, Any]]:
-    kind = PduType.ABORT
+def _abort(invoke_id: int, reason: int) -> bytes:
     # The bit says that a server sends it.
-    return bytes([kind << 4 | 1, invoke_id, reason]), {"pdu_type": int(kind), "abort": reason}
+    return bytes([PduType.ABORT << 4 | 1, invoke_id, reason])
 
 
 def _clamped(rule: Rule | None, asked: Asked) -> Asked:
@@ -327,8 +283,7 @@ def _falsified(rule: Rule, asked: Asked, answer: Answer) -> Answer:
     if rule.answer_values is None and rule.answer_instance is None:
         return answer
     (one,) = asked.reads
-    values = [Value(kind=shown["type"], value=shown["value"]) for shown in answer.results[0]["values"]]
     return read_answer(
         one if rule.answer_instance is None else one.at(rule.answer_instance),
-        values if rule.answer_values is None else rule.answer_values,
+        answer.values if rule.answer_values is None else rule.answer_values,
     )

@@ -7,11 +7,12 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pytest_otmcp.wire.bacnet.values import Value, encode
+
 from ..fault_plan import FaultRule, Plan
 from ..fault_rules import FLAG, SKIP, Field, Table, integer, number
 from ..network import MANNERS
 from .names import ObjectType
-from .values import Value, encode
 
 __all__ = ["TABLE", "FaultPlan", "Rule", "identifier_of"]
 

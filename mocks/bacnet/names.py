@@ -1,10 +1,10 @@
-"""Numbers of the standard with names (ASHRAE 135, clause 21): object types, properties, services, errors."""
+"""Numbers of the standard with names (ASHRAE 135, clause 21): object types, properties, errors."""
 
 from __future__ import annotations
 
 from enum import IntEnum
 
-__all__ = ["Confirmed", "ObjectType", "Property", "Refusal", "Unconfirmed"]
+__all__ = ["ObjectType", "Property", "Refusal"]
 
 
 class ObjectType(IntEnum):
@@ -72,24 +72,6 @@ class Property(IntEnum):
     PROTOCOL_REVISION = 139
     DATABASE_REVISION = 155
     PROPERTY_LIST = 371
-
-
-class Confirmed(IntEnum):
-    """Confirmed services that the device executes."""
-
-    READ_PROPERTY = 12
-    READ_PROPERTY_MULTIPLE = 14
-    WRITE_PROPERTY = 15
-    WRITE_PROPERTY_MULTIPLE = 16
-
-
-class Unconfirmed(IntEnum):
-    """Unconfirmed services that the device knows."""
-
-    I_AM = 0
-    I_HAVE = 1
-    WHO_HAS = 7
-    WHO_IS = 8
 
 
 class Refusal(Exception):

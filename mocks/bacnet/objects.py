@@ -12,6 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pytest_otmcp.wire.bacnet.services import PRIORITIES
+from pytest_otmcp.wire.bacnet.values import Value
+
 from .names import (
     INVALID_ARRAY_INDEX,
     INVALID_DATATYPE,
@@ -23,11 +26,9 @@ from .names import (
     Property,
     Refusal,
 )
-from .values import Value
 
-__all__ = ["PRIORITIES", "BacnetObject", "Content", "element_of"]
+__all__ = ["BacnetObject", "Content", "element_of"]
 
-PRIORITIES = 16
 _MINIMUM_ON_OFF = 6
 _FAULT_STATE, _NORMAL_STATE = 1, 0
 

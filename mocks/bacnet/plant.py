@@ -11,9 +11,11 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
-from .names import UNKNOWN_OBJECT, UNKNOWN_PROPERTY, Confirmed, ObjectType, Property, Refusal
+from pytest_otmcp.wire.bacnet.services import Confirmed
+from pytest_otmcp.wire.bacnet.values import Value
+
+from .names import UNKNOWN_OBJECT, UNKNOWN_PROPERTY, ObjectType, Property, Refusal
 from .objects import BacnetObject, Content
-from .values import Value
 
 __all__ = ["DEVICE", "MAX_APDU", "NO_SEGMENTATION", "VENDOR", "Plant", "single"]
 

@@ -17,12 +17,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pytest_otmcp.wire.bacnet.services import PRIORITIES
+from pytest_otmcp.wire.bacnet.values import Value
+
 from ..fault_rules import FLAG, TEXT, integer
 from .faults import identifier_of
 from .names import Refusal
-from .objects import PRIORITIES, BacnetObject
+from .objects import BacnetObject
 from .plant import DEVICE, Plant, single
-from .values import Value
 
 __all__ = ["poke"]
 

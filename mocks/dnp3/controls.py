@@ -6,8 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from pytest_otmcp.wire.dnp3.objects import INDEX8, INDEX16, Header
+
 from .faults import Rule
-from .objects import INDEX8, INDEX16, Header
 from .plant import HIGHEST, LIMITED, LOCAL, PULSED, TRIP_CLOSE, Plant
 from .points import fits
 

@@ -12,10 +12,8 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from ..framed_connection import FramedConnection, IllegalFrame
-from ..tcp_device import TcpDevice
-from .faults import FaultPlan, Rule
-from .link import (
+from pytest_otmcp.wire.dnp3.application import BROADCASTS, CONFIRM, DIRECT_OPERATE_NR, READ, Request
+from pytest_otmcp.wire.dnp3.link import (
     ACK,
     CONFIRMED_USER_DATA,
     LINK_STATUS,
@@ -26,14 +24,17 @@ from .link import (
     UNCONFIRMED_USER_DATA,
     LinkFrame,
     Reassembly,
-    frame_length,
+    link_length,
     segments,
 )
-from .objects import IllegalObject, headers
+from pytest_otmcp.wire.framing import MalformedError
+
+from ..framed_connection import FramedConnection
+from ..tcp_device import TcpDevice
+from .faults import FaultPlan, Rule
 from .outstation import Answer, Session, execute, unsolicited
 from .plant import Event, Plant
 from .pokes import CLASSES, poke
-from .requests import BROADCASTS, CONFIRM, DIRECT_OPERATE_NR, READ, Request
 from .tampering import altered, falsified
 
 __all__ = ["ADDRESS", "Dnp3Device"]
@@ -105,7 +106,7 @@ class _Connection(FramedConnection[Dnp3Device]):
     """One master's connection. Requests are answered in order."""
 
     def __init__(self, device: Dnp3Device) -> None:
-        super().__init__(device, frame_length)
+        super().__init__(device, link_length)
         self._reassembly = Reassembly()
         self._segment = 0
         self._master = 1
@@ -125,28 +126,21 @@ class _Connection(FramedConnection[Dnp3Device]):
     def frame(self, raw: bytes) -> None:
         frame = LinkFrame.parse(raw)
         if not frame.from_master:
-            raise IllegalFrame("link: a frame with the direction of an outstation")
+            raise MalformedError("link: a frame with the direction of an outstation")
         if not frame.primary:
-            self.record("in", "link_answer", link_function=frame.function)
+            self.received(raw)
             return
         if frame.function in (UNCONFIRMED_USER_DATA, CONFIRMED_USER_DATA):
-            if frame.function == CONFIRMED_USER_DATA and frame.destination == ADDRESS:
-                self._link_answer(None, ACK, frame.source)
             fragment = self._reassembly.take(frame.data)
             if fragment is not None:
-                self._fragment(Request.parse(fragment), frame)
+                self._fragment(raw, Request.parse(fragment), frame)
+                return
+            self.received(raw)
+            self._acknowledge(frame)
             return
         status = frame.function == REQUEST_LINK_STATUS
         rule = self.device.faults.match(None) if status and frame.destination == ADDRESS else None
-        asked = self.record(
-            "in",
-            "link_request",
-            request=status,
-            link_function=frame.function,
-            source=frame.source,
-            destination=frame.destination,
-            **({} if rule is None else {"fault": rule.action}),
-        )
+        asked = self.received(raw, rule)
         if frame.destination != ADDRESS:
             return
         known = {RESET_LINK_STATES: ACK, TEST_LINK_STATES: ACK, REQUEST_LINK_STATUS: LINK_STATUS}
@@ -161,29 +155,25 @@ class _Connection(FramedConnection[Dnp3Device]):
     def _link_answer(self, asked: int | None, function: int, master: int, rule: Rule | None = None) -> None:
         frame = LinkFrame(function=function, primary=False, from_master=False, destination=master, source=ADDRESS)
         raw = frame.encoded()
-        self.write(raw if rule is None else altered(rule, raw), "link_answer", asked, rule, link_function=function)
+        self.send(raw if rule is None else altered(rule, raw), asked, rule, frames=(raw,))
+
+    def _acknowledge(self, frame: LinkFrame) -> None:
+        if frame.function == CONFIRMED_USER_DATA and frame.destination == ADDRESS:
+            self._link_answer(None, ACK, frame.source)
 
     # -- application layer --------------------------------------------------------------------------------------
 
-    def _fragment(self, request: Request, frame: LinkFrame) -> None:
-        fields = {**request.described(), "source": frame.source, "destination": frame.destination}
+    def _fragment(self, raw: bytes, request: Request, frame: LinkFrame) -> None:
         if request.function == CONFIRM:
-            self.record("in", "confirm", **fields, apdu=request.fragment.hex())
+            self.received(raw)
+            self._acknowledge(frame)
             self._confirmed(request)
             return
         ours = frame.destination == ADDRESS
         repeated = ours and self.session.last is not None and self.session.last[0] == request.fragment
         rule = self.device.faults.match(request) if ours else None
-        asked = self.record(
-            "in",
-            "request",
-            request=True,
-            state_changing=request.state_changing,
-            **fields,
-            apdu=request.fragment.hex(),
-            **({"repeated": True} if repeated else {}),
-            **({} if rule is None else {"fault": rule.action}),
-        )
+        asked = self.received(raw, rule, **({"repeated": True} if repeated else {}))
+        self._acknowledge(frame)
         if not ours and frame.destination not in BROADCASTS:
             return
         if rule is not None and rule.manner.half_open:
@@ -250,7 +240,7 @@ class _Connection(FramedConnection[Dnp3Device]):
         source = ADDRESS if rule is None or rule.answer_source is None else rule.answer_source
         parts = segments(fragment, self._segment)
         self._segment = (self._segment + len(parts)) & 0x3F
-        raw = b"".join(
+        frames = [
             LinkFrame(
                 function=UNCONFIRMED_USER_DATA,
                 primary=True,
@@ -260,25 +250,10 @@ class _Connection(FramedConnection[Dnp3Device]):
                 data=part,
             ).encoded()
             for part in parts
-        )
-        fields: dict[str, Any] = {
-            "function": answer.function,
-            "sequence": answer.sequence,
-            "iin": answer.iin,
-            "confirm": answer.confirm,
-            "objects": _described(answer.objects),
-            "apdu": fragment.hex(),
-        }
+        ]
+        raw, said = b"".join(frames), {}
         if rule is not None:
             changed = {"length": rule.length or None, "source": rule.answer_source}
-            fields |= {name: value for name, value in changed.items() if value is not None}
+            said = {name: value for name, value in changed.items() if value is not None}
             raw = altered(rule, raw)
-        self.write(raw, "unsolicited" if answer.unsolicited else "response", asked, rule, **fields)
-
-
-def _described(objects: bytes) -> list[dict[str, Any]]:
-    """Return what the journal has of the objects of an answer; of those that a rule made unreadable nothing."""
-    try:
-        return [header.described() for header in headers(objects, with_objects=True)]
-    except IllegalObject:
-        return []
+        self.send(raw, asked, rule, frames=frames, **said)

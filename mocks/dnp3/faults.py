@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pytest_otmcp.wire.dnp3.application import Request
+
 from ..fault_plan import Plan
 from ..fault_rules import FLAG, SKIP, Table, hexadecimal, integer
 from ..framed_connection import ANSWER_FAULTS, AnswerRule
-from .requests import Request
 
 __all__ = ["TABLE", "FaultPlan", "Rule"]
 

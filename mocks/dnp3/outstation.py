@@ -9,12 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from .controls import operate, select
-from .faults import Rule
-from .objects import ALL, COUNT8, COUNT16, FORMATS, INDEX8, INDEX16, OCTETS, START_STOP8, START_STOP16, Header, encode
-from .plant import Event, Plant
-from .points import Point, converted, fits, known, static_objects
-from .requests import (
+from pytest_otmcp.wire.dnp3.application import (
     COLD_RESTART,
     DELAY_MEASURE,
     DIRECT_OPERATE,
@@ -28,6 +23,24 @@ from .requests import (
     WRITE,
     Request,
 )
+from pytest_otmcp.wire.dnp3.objects import (
+    ALL,
+    COUNT8,
+    COUNT16,
+    FORMATS,
+    INDEX8,
+    INDEX16,
+    OCTETS,
+    START_STOP8,
+    START_STOP16,
+    Header,
+    encode,
+)
+
+from .controls import operate, select
+from .faults import Rule
+from .plant import Event, Plant
+from .points import Point, converted, fits, known, static_objects
 
 __all__ = ["Answer", "Session", "execute", "unsolicited"]
 

@@ -21,7 +21,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .objects import as_json
+from pytest_otmcp.wire.dnp3.objects import as_json
+
 from .points import ONLINE, Point, converted, fits, flag_names
 
 __all__ = ["HIGHEST", "LIMITED", "LOCAL", "PULSED", "TRIP_CLOSE", "Event", "Plant", "checked"]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
-from .objects import FORMATS, OCTETS, PACKED, START_STOP8, encode
+from pytest_otmcp.wire.dnp3.objects import FORMATS, OCTETS, PACKED, START_STOP8, encode
 
 __all__ = ["FLAGS", "GROUPS", "ONLINE", "Point", "converted", "fits", "flag_names", "known", "static_objects"]
 

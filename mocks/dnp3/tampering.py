@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from pytest_otmcp.wire.dnp3.objects import INDEX8, INDEX16, START_STOP8, START_STOP16
+
 from .faults import Rule
-from .objects import INDEX8, INDEX16, START_STOP8, START_STOP16
 from .outstation import Answer
 
 __all__ = ["altered", "falsified"]

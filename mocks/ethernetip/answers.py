@@ -8,12 +8,19 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+from pytest_otmcp.wire.ethernetip.frames import (
+    CONNECTED_ADDRESS,
+    CONNECTED_DATA,
+    NULL_ADDRESS,
+    UNCONNECTED_DATA,
+    Frame,
+    packet,
+)
+from pytest_otmcp.wire.ethernetip.messages import Reply
+
 from ..framed_connection import FramedConnection
 from .connections import Connection
-from .describe import described_reply
 from .faults import Rule
-from .frames import CONNECTED_ADDRESS, CONNECTED_DATA, NULL_ADDRESS, UNCONNECTED_DATA, Frame, packet
-from .messages import Reply
 
 __all__ = ["Answers", "Asked", "carried"]
 
@@ -23,7 +30,7 @@ class Asked:
     """A request that is answered.
 
     Attributes:
-        seq: of its entry.
+        seq: number of its record.
         kind: of that entry.
         frame: that it came in.
         fields: the services that it asks for, as the journal has them.
@@ -45,13 +52,8 @@ def carried(frame: Frame, connection: Connection, count: int, message: bytes, ot
     return replace(frame, data=packet((CONNECTED_ADDRESS, address), (CONNECTED_DATA, content)))
 
 
-def _of(asked: Asked) -> dict[str, Any]:
-    """Return the members that an answer has in common with its request."""
-    return {"service": asked.fields["service"]}
-
-
 class Answers:
-    """Sends answers, and records them."""
+    """Sends answers."""
 
     def __init__(self, client: FramedConnection[Any]) -> None:
         self._client = client
@@ -65,27 +67,27 @@ class Answers:
             asked.connection.last = reply
             shift, other = (0, 0) if rule is None else (rule.sequence, rule.connection)
             frame = carried(asked.frame, asked.connection, asked.count + shift, message, other)
-        self.send(asked, rule, frame, **_of(asked), **described_reply(message))
+        self.send(asked, rule, frame)
 
-    def send(self, asked: Asked, rule: Rule | None, answer: Frame, **fields: Any) -> None:
+    def send(self, asked: Asked, rule: Rule | None, answer: Frame) -> None:
         """Answer, in the manner of a rule."""
-        kind = "response" if asked.kind == "request" else f"{asked.kind}_response"
         if rule is None:
-            self.write(asked.seq, kind, answer, **fields)
+            self._client.send(answer.encoded(), asked.seq)
             return
         if rule.encapsulation is not None:
-            answer, fields = replace(answer, status=rule.encapsulation, data=b""), _of(asked)
+            answer = replace(answer, status=rule.encapsulation, data=b"")
         if rule.context:
             answer = replace(answer, context=bytes([answer.context[0] ^ rule.context]) + answer.context[1:])
-        self._client.misbehave(rule, partial(self.write, asked.seq, kind, answer, rule, **fields))
+        self._client.misbehave(rule, partial(self._falsify, asked, answer, rule))
 
-    def write(self, asked: int, kind: str, answer: Frame, rule: Rule | None = None, **fields: Any) -> None:
-        """Send an answer to the request that has the sequence number ``asked``, and record it."""
-        raw = answer.encoded()
-        fields["frame"] = raw.hex()
-        if answer.status:
-            fields["encapsulation"] = answer.status
-        if rule is not None and rule.length:
-            fields["length"] = rule.length
+    def _falsify(self, asked: Asked, answer: Frame, rule: Rule) -> None:
+        raw, said = answer.encoded(), dict[str, Any]()
+        if rule.context or rule.sequence or rule.connection:
+            # What it answers cannot be told by its bytes.
+            kind = "response" if asked.kind == "request" else f"{asked.kind}_response"
+            said |= {"kind": kind, "service": asked.fields["service"]}
+        frames = [raw]
+        if rule.length:
+            said["length"] = rule.length
             raw = raw[:2] + ((len(answer.data) + rule.length) & 0xFFFF).to_bytes(2, "little") + raw[4:]
-        self._client.write(raw, kind, asked, rule, **fields)
+        self._client.send(raw, asked.seq, rule, frames, **said)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
-from .cip import FORWARD_OPEN, LARGE_FORWARD_OPEN, UNCONNECTED_SEND
-from .messages import TOO_LITTLE_DATA, Path, Refusal, Reply
+from pytest_otmcp.wire.ethernetip.cip import FORWARD_OPEN, LARGE_FORWARD_OPEN, UNCONNECTED_SEND
+from pytest_otmcp.wire.ethernetip.messages import TOO_LITTLE_DATA, Path, Refusal, Reply
 
 __all__ = ["Connection", "Connections", "misrouted"]
 

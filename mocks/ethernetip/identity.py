@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import struct
 
-from .messages import Refusal
+from pytest_otmcp.wire.ethernetip.messages import Refusal
 
 __all__ = ["attribute", "every_attribute", "identity_item", "program_name", "services_item"]
 

@@ -2,45 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from ..framed_connection import FramedConnection, IllegalFrame
-from ..tcp_device import TcpDevice
-from .answers import Answers, Asked
-from .asked import AskedFor, connected_request, unconnected_request
-from .connections import misrouted
-from .controller import Controller
-from .faults import Rule
-from .frames import (
-    CONNECTED_ADDRESS,
-    CONNECTED_DATA,
+from pytest_otmcp.wire.ethernetip.asked import AskedFor, asked_for
+from pytest_otmcp.wire.ethernetip.frames import (
     LIST_IDENTITY,
     LIST_INTERFACES,
     LIST_SERVICES,
     NOP,
-    NULL_ADDRESS,
     REGISTER,
     SEND_RR_DATA,
     SEND_UNIT_DATA,
-    UNCONNECTED_DATA,
     UNREGISTER,
     Frame,
     frame_length,
-    packet_items,
 )
+from pytest_otmcp.wire.ethernetip.messages import Reply, Request
+from pytest_otmcp.wire.framing import MalformedError
+
+from ..framed_connection import FramedConnection
+from ..tcp_device import TcpDevice
+from .answers import Answers, Asked
+from .connections import misrouted
+from .controller import Controller
+from .faults import Rule
 from .identity import identity_item, services_item
-from .messages import Reply, Request
 from .services import Router, named
 
 __all__ = ["ClientLink"]
 
 _UNKNOWN_COMMAND, _BAD_DATA, _BAD_SESSION, _BAD_LENGTH, _BAD_VERSION = 0x01, 0x03, 0x64, 0x65, 0x69
-_CONNECTED = ((CONNECTED_ADDRESS, 4, 4), (CONNECTED_DATA, 4, 0xFFFF))
-_UNCONNECTED = ((NULL_ADDRESS, 0, 0), (UNCONNECTED_DATA, 2, 0xFFFF))
-"""The first items of a packet that carries a request: type, and least and most number of bytes."""
 _LARGEST_UNCONNECTED = 504
+_COUNT = 2
+"""Bytes of the sequence count before a message on a connection."""
 
 
 class ClientLink(FramedConnection[TcpDevice]):
@@ -69,7 +65,7 @@ class ClientLink(FramedConnection[TcpDevice]):
         elif frame.command == REGISTER:
             self._register(frame, raw)
         elif frame.command == UNREGISTER:
-            self.record("in", "unregister", frame=raw.hex())
+            self.received(raw)
             self.transport.close()
         elif frame.command == LIST_IDENTITY:
             self._list_identity(frame, raw)
@@ -78,26 +74,26 @@ class ClientLink(FramedConnection[TcpDevice]):
 
     def _list(self, frame: Frame, raw: bytes) -> None:
         known = {LIST_SERVICES: services_item(), LIST_INTERFACES: b"\0\0"}
-        asked = self.record("in", "list", command=frame.command, frame=raw.hex())
+        asked = self.received(raw)
         data = known.get(frame.command)
         status = _UNKNOWN_COMMAND if data is None else 0
-        self._answers.write(asked, "list_response", replace(frame, data=data or b"", status=status))
+        self.send(replace(frame, data=data or b"", status=status).encoded(), asked)
 
     def _list_identity(self, frame: Frame, raw: bytes) -> None:
         fields: dict[str, Any] = {"service": "list_identity", "items": [{"asks": "list_identity"}]}
         rule = self._rule(fields)
-        seq = self.record("in", "request", request=True, **fields, frame=raw.hex(), **_shown(rule))
+        seq = self.received(raw, rule)
         if rule is not None and rule.manner.half_open:
             self.transport.die()
             return
         asked = Asked(seq=seq, kind="request", frame=frame, fields=fields)
         answer = replace(frame, data=identity_item(self._controller.address))
-        self._answers.send(asked, rule, answer, service="list_identity")
+        self._answers.send(asked, rule, answer)
 
     def _register(self, frame: Frame, raw: bytes) -> None:
         fields: dict[str, Any] = {"service": "register", "items": [{"asks": "register"}]}
         rule = self._rule(fields)
-        seq = self.record("in", "register", **fields, frame=raw.hex(), **_shown(rule))
+        seq = self.received(raw, rule)
         if rule is not None and rule.manner.half_open:
             self.transport.die()
             return
@@ -116,47 +112,34 @@ class ClientLink(FramedConnection[TcpDevice]):
         self._answers.send(Asked(seq=seq, kind="register", frame=frame, fields=fields), rule, answer)
 
     def _data(self, frame: Frame, raw: bytes) -> None:
-        items = packet_items(frame.data)
-        connected = frame.command == SEND_UNIT_DATA
-        if items is None or not _fit(items, _CONNECTED if connected else _UNCONNECTED):
-            reason = "encapsulation: no packet that carries a request"
-            self.record("in", "malformed", bytes=raw[:300].hex(), reason=reason)
+        try:
+            asked = asked_for(frame)
+        except MalformedError:
+            self.received(raw)
             self.transport.write(replace(frame, data=b"", status=_BAD_DATA).encoded())
             return
-        content = items[1][1]
-        if connected:
-            asked_for = connected_request(int.from_bytes(items[0][1], "little"), content)
-        else:
-            asked_for = unconnected_request(content)
         if not self._session or frame.session != self._session:
-            seq = self._enter(asked_for, raw, None)
-            self._answers.write(
-                seq, "response", replace(frame, data=b"", status=_BAD_SESSION), service=asked_for.fields["service"]
-            )
-        elif connected:
-            self._connected(frame, raw, asked_for, len(content))
+            self.send(replace(frame, data=b"", status=_BAD_SESSION).encoded(), self.received(raw))
+        elif frame.command == SEND_UNIT_DATA:
+            self._connected(frame, raw, asked)
         else:
-            self._unconnected(frame, raw, asked_for)
-
-    def _enter(self, asked_for: AskedFor, raw: bytes, rule: Rule | None) -> int:
-        is_request = asked_for.kind == "request"
-        fields = {**asked_for.fields, "frame": raw.hex(), **_shown(rule)}
-        return self.record("in", asked_for.kind, request=is_request, **fields)
+            self._unconnected(frame, raw, asked)
 
     # -- requests ---------------------------------------------------------------------------------------------
 
-    def _connected(self, frame: Frame, raw: bytes, asked_for: AskedFor, size: int) -> None:
-        fields = asked_for.fields
+    def _connected(self, frame: Frame, raw: bytes, asks: AskedFor) -> None:
+        fields = asks.fields
         count = fields["sequence"]
         connection = self._controller.connections.open.get(fields["connection_id"])
         known = connection is not None and count != connection.count
         rule = self._rule(fields) if known else None
-        seq = self._enter(asked_for, raw, rule)
+        seq = self.received(raw, rule)
         if connection is None:
             # No controller answers on a connection that it does not know (volume 1, 3-4.4).
             return
+        size = len(asks.message) + _COUNT
         if size > connection.size:
-            raise IllegalFrame(f"CIP: a message of {size} bytes, {connection.size} were agreed to")
+            raise MalformedError(f"CIP: a message of {size} bytes, {connection.size} were agreed to")
         asked = Asked(seq=seq, kind="request", frame=frame, fields=fields, connection=connection, count=count)
         if not known:
             # The transport repeats what it has answered already (volume 1, 3-4.4.2): nothing is executed.
@@ -164,16 +147,16 @@ class ClientLink(FramedConnection[TcpDevice]):
                 self._answers.reply(asked, None, connection.last)
             return
         connection.count, connection.last = count, None
-        self._execute(asked, rule, asked_for, limit=connection.size - 2)
+        self._execute(asked, rule, asks, limit=connection.size - 2)
 
-    def _unconnected(self, frame: Frame, raw: bytes, asked_for: AskedFor) -> None:
-        rule = self._rule(asked_for.fields)
-        seq = self._enter(asked_for, raw, rule)
-        asked = Asked(seq=seq, kind=asked_for.kind, frame=frame, fields=asked_for.fields)
-        if asked_for.fields["service"] in ("forward_open", "forward_close") and not asked_for.route:
-            self._manage(asked, rule, asked_for.message)
+    def _unconnected(self, frame: Frame, raw: bytes, asks: AskedFor) -> None:
+        rule = self._rule(asks.fields)
+        seq = self.received(raw, rule)
+        asked = Asked(seq=seq, kind=asks.kind, frame=frame, fields=asks.fields)
+        if asks.fields["service"] in ("forward_open", "forward_close") and not asks.route:
+            self._manage(asked, rule, asks.message)
         else:
-            self._execute(asked, rule, asked_for, limit=_LARGEST_UNCONNECTED)
+            self._execute(asked, rule, asks, limit=_LARGEST_UNCONNECTED)
 
     def _rule(self, fields: Mapping[str, Any]) -> Rule | None:
         plant = self._controller.plant
@@ -182,14 +165,14 @@ class ClientLink(FramedConnection[TcpDevice]):
             about.append({"asks": "multiple"})
         return self._controller.faults.match([(item, named(plant, item)) for item in about])
 
-    def _execute(self, asked: Asked, rule: Rule | None, asked_for: AskedFor, *, limit: int) -> None:
+    def _execute(self, asked: Asked, rule: Rule | None, asks: AskedFor, *, limit: int) -> None:
         if rule is not None and rule.manner.half_open:
             self.transport.die()
             return
         for bits in self._controller.restless:
             bits.move(self._controller.plant)
-        message = asked_for.message
-        reply = misrouted(asked_for.route)
+        message = asks.message
+        reply = misrouted(asks.route)
         if reply is None and (rule is None or rule.encapsulation is None):
             reply = Router(plant=self._controller.plant, limit=limit, rule=rule).answer(message)
         self._answers.reply(asked, rule, reply or Reply(service=message[0]))
@@ -208,16 +191,3 @@ class ClientLink(FramedConnection[TcpDevice]):
             limit = self._controller.plant.connection_limit
             reply = connections.forward_open(request.service, request.data, self.number, limit)
         self._answers.reply(asked, rule, reply)
-
-
-def _fit(items: Sequence[tuple[int, bytes]], wanted: Sequence[tuple[int, int, int]]) -> bool:
-    """Tell whether the first items of a packet are those of a request; others may follow (addresses of sockets)."""
-    return len(items) >= len(wanted) and all(
-        kind == expected and least <= len(content) <= most
-        for (kind, content), (expected, least, most) in zip(items, wanted, strict=False)
-    )
-
-
-def _shown(rule: Rule | None) -> dict[str, Any]:
-    """Return the member with which the journal says which fault applies to a request."""
-    return {} if rule is None else {"fault": rule.action}

@@ -20,8 +20,9 @@ import time
 from datetime import UTC, datetime
 from typing import Any
 
-from .cip import SYMBOL
-from .messages import BAD_PATH, Path, Refusal
+from pytest_otmcp.wire.ethernetip.cip import SYMBOL
+from pytest_otmcp.wire.ethernetip.messages import BAD_PATH, Path, Refusal
+
 from .tags import NO_SUCH_PLACE, Place, Tag, located, shown, store, walk
 from .types import ELEMENTARY, RECIPE, STRING, Elementary, Structure
 

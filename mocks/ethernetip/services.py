@@ -10,11 +10,21 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from . import cip
-from .describe import describe
+from pytest_otmcp.wire.ethernetip import cip
+from pytest_otmcp.wire.ethernetip.describe import describe
+from pytest_otmcp.wire.ethernetip.messages import (
+    SUCCESS,
+    TOO_LITTLE_DATA,
+    Path,
+    Refusal,
+    Reply,
+    Request,
+    embedded,
+    multiple_reply,
+)
+
 from .faults import Rule
 from .identity import attribute, every_attribute, program_name
-from .messages import SUCCESS, TOO_LITTLE_DATA, Path, Refusal, Reply, Request, embedded, multiple_reply
 from .plant import STRUCTURES, Plant
 from .symbols import symbol_list, template_attributes, template_part
 from .tags import PRIVILEGE, Place

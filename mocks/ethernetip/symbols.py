@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from .messages import SUCCESS, TOO_LITTLE_DATA, Path, Refusal
+from pytest_otmcp.wire.ethernetip.messages import SUCCESS, TOO_LITTLE_DATA, Path, Refusal
+
 from .plant import PROGRAM, Plant
 from .tags import ACCESS, Tag
 from .types import Structure

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from .messages import BAD_PATH, Refusal
+from pytest_otmcp.wire.ethernetip.messages import BAD_PATH, Refusal
+
 from .types import STRING, Elementary, Structure
 
 __all__ = ["ACCESS", "NO_SUCH_PLACE", "PRIVILEGE", "Place", "Tag", "located", "shown", "store", "walk"]

@@ -3,49 +3,24 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+
+from pytest_otmcp.wire.modbus import MASK_WRITE, READS, WRITE_COIL, WRITE_COILS, WRITE_REGISTER, WRITE_REGISTERS, frame
 
 from .faults import Rule
-from .pdu import MASK_WRITE, READS, WRITE_COIL, WRITE_COILS, WRITE_REGISTER, WRITE_REGISTERS, read_response
+from .pdu import read_response
 
-__all__ = ["Answer", "falsified"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
-    """An answer as it goes onto the wire.
-
-    Attributes:
-        transaction, protocol, length, unit: fields of the MBAP header.
-    """
-
-    transaction: int
-    unit: int
-    pdu: bytes
-    length: int
-    protocol: int = 0
-
-    @classmethod
-    def to(cls, transaction: int, unit: int, pdu: bytes) -> Answer:
-        """Return the right answer to a request with this header."""
-        return cls(transaction=transaction, unit=unit, pdu=pdu, length=len(pdu) + 1)
-
-    def frame(self) -> bytes:
-        """Return the bytes of the answer."""
-        return struct.pack(">HHHB", self.transaction, self.protocol, self.length, self.unit) + self.pdu
+__all__ = ["falsified"]
 
 
-def falsified(rule: Rule, transaction: int, unit: int, pdu: bytes) -> Answer:
-    """Return the answer that a rule makes of a right one."""
+def falsified(rule: Rule, transaction: int, unit: int, pdu: bytes) -> bytes:
+    """Return the frame that a rule makes of a right answer to a request with this header."""
     pdu = _falsified_pdu(rule, pdu)
-    return Answer(
-        transaction=(transaction + rule.transaction_id) & 0xFFFF
-        if rule.answer_transaction is None
-        else rule.answer_transaction,
+    return frame(
+        (transaction + rule.transaction_id) & 0xFFFF if rule.answer_transaction is None else rule.answer_transaction,
+        unit if rule.answer_unit is None else rule.answer_unit,
+        pdu,
         protocol=rule.protocol_id,
         length=(len(pdu) + 1 + rule.length) & 0xFFFF,
-        unit=unit if rule.answer_unit is None else rule.answer_unit,
-        pdu=pdu,
     )
 
 

@@ -7,25 +7,32 @@ serve cells that do not exist, and the journal needs the connection and the byte
 from __future__ import annotations
 
 import asyncio
-import struct
 from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from ..framed_connection import FramedConnection, IllegalFrame
+from pytest_otmcp.wire.modbus import (
+    HEADER,
+    MASK_WRITE,
+    WRITE_REGISTER,
+    WRITE_REGISTERS,
+    frame,
+    mbap_length,
+    request_fields,
+)
+
+from ..framed_connection import FramedConnection
 from ..tcp_device import TcpDevice
-from .answers import Answer, falsified
-from .faults import FaultPlan, Rule
+from .answers import falsified
+from .faults import FaultPlan
 from .image import UnitImage
-from .pdu import MASK_WRITE, WRITE_REGISTER, WRITE_REGISTERS, IllegalRequest, describe, execute, values_read
+from .pdu import IllegalRequest, execute
 from .pokes import Restless, poke_cells, poke_identification, poke_size, poke_units, restless_cells
 
 __all__ = ["ModbusDevice"]
 
 GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
-_MAX_LENGTH = 254
-"""Largest value of the MBAP length field: unit identifier and a PDU of 253 bytes."""
 
 
 class ModbusDevice(TcpDevice):
@@ -96,22 +103,13 @@ class _Connection(FramedConnection[ModbusDevice]):
     """One client's connection. Requests are answered in order."""
 
     def __init__(self, device: ModbusDevice) -> None:
-        super().__init__(device, _frame_length)
+        super().__init__(device, mbap_length)
 
     def frame(self, raw: bytes) -> None:
-        (transaction,), unit, pdu = struct.unpack_from(">H", raw), raw[6], raw[7:]
-        fields = describe(pdu)
+        (transaction, _, _, unit), pdu = HEADER.unpack_from(raw), raw[HEADER.size :]
+        fields = request_fields(pdu)
         rule = self.device.faults.match(unit, fields)
-        asked = self.record(
-            "in",
-            "request",
-            request=True,
-            unit=unit,
-            transaction_id=transaction,
-            **fields,
-            pdu=pdu.hex(),
-            **({} if rule is None else {"fault": rule.action}),
-        )
+        asked = self.received(raw, rule)
         if rule is not None and rule.manner.half_open:
             self.transport.die()
             return
@@ -128,43 +126,9 @@ class _Connection(FramedConnection[ModbusDevice]):
         except IllegalRequest as refusal:
             response = bytes([pdu[0] | 0x80, refusal.code])
         if rule is None:
-            self._send(asked, fields, Answer.to(transaction, unit, response))
+            self.send(frame(transaction, unit, response), asked)
         else:
-            answer = falsified(rule, transaction, unit, response)
-            self.misbehave(rule, partial(self._send, asked, fields, answer, rule))
-
-    def _send(self, asked: int, request: Mapping[str, Any], answer: Answer, rule: Rule | None = None) -> None:
-        """Answer the request that has the sequence number ``asked``, in the manner of a rule."""
-        response = answer.pdu
-        fields: dict[str, Any] = {
-            "unit": answer.unit,
-            "transaction_id": answer.transaction,
-            "function": response[0] & 0x7F,
-            "exception": response[1] if response[0] & 0x80 else None,
-        }
-        values = values_read(request, response)
-        if values is not None:
-            fields["values"] = values
-        fields["pdu"] = response.hex()
-        if rule is not None and answer.protocol:
-            fields["protocol_id"] = answer.protocol
-        if rule is not None and rule.length:
-            fields["length"] = answer.length
-        self.write(answer.frame(), "response", asked, rule, **fields)
-
-
-def _frame_length(buffer: bytearray) -> int | None:
-    """Return the length of the frame at the beginning of the buffer; None while too little of it has arrived.
-
-    Raises:
-        IllegalFrame: no frame begins like that. The guide (section 4.4.2.2) silently discards such a frame.
-    """
-    if len(buffer) < 6:
-        return None
-    _, protocol, length = struct.unpack_from(">HHH", buffer)
-    if protocol != 0 or not 2 <= length <= _MAX_LENGTH:
-        raise IllegalFrame(f"MBAP header: protocol {protocol}, length {length}")
-    return 6 + int(length)
+            self.misbehave(rule, partial(self.send, falsified(rule, transaction, unit, response), asked, rule))
 
 
 def _clamp(memory: UnitImage, request: Mapping[str, Any], bounds: tuple[int, int]) -> None:

@@ -8,36 +8,27 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+
+from pytest_otmcp.wire.modbus import (
+    MASK_WRITE,
+    READ_WRITE,
+    WRITE_COIL,
+    WRITE_COILS,
+    WRITE_REGISTER,
+    WRITE_REGISTERS,
+    bits,
+    packed_bits,
+    packed_registers,
+    registers,
+)
 
 from .image import UnitImage
 
-__all__ = [
-    "MASK_WRITE",
-    "READS",
-    "STATE_CHANGING",
-    "WRITE_COIL",
-    "WRITE_COILS",
-    "WRITE_REGISTER",
-    "WRITE_REGISTERS",
-    "IllegalRequest",
-    "describe",
-    "execute",
-    "identify",
-    "read_response",
-    "values_read",
-]
+__all__ = ["IllegalRequest", "execute", "identify", "read_response"]
 
 ILLEGAL_FUNCTION, ILLEGAL_DATA_ADDRESS, ILLEGAL_DATA_VALUE = 1, 2, 3
 
-READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
-WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
-MASK_WRITE, READ_WRITE, ENCAPSULATED = 22, 23, 43
-
-STATE_CHANGING = frozenset({WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS, MASK_WRITE, READ_WRITE})
-
-READS = frozenset({READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT, READ_WRITE})
-_ADDRESSED = STATE_CHANGING | READS
+READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT, ENCAPSULATED = 1, 2, 3, 4, 43
 _COIL_STATES = {0x0000: False, 0xFF00: True}
 
 _CATEGORY_LAST = {1: 2, 2: 6, 3: 6}
@@ -52,57 +43,9 @@ class IllegalRequest(Exception):
         self.code = code
 
 
-def describe(pdu: bytes) -> dict[str, Any]:
-    """Return the request's fields for the journal, as far as its bytes contain them.
-
-    ``address``, ``quantity`` and ``values`` are those of the write in a Read/Write Multiple Registers request, which
-    has ``read_address`` and ``read_quantity`` besides. A coil value that is neither FF00 nor 0000 stays a number.
-    """
-    function = pdu[0]
-    fields: dict[str, Any] = {"function": function, "state_changing": function in STATE_CHANGING}
-    if function not in _ADDRESSED or len(pdu) < 5:
-        return fields
-    fields["address"], second = struct.unpack_from(">HH", pdu, 1)
-    if function == WRITE_COIL:
-        fields["quantity"], fields["values"] = 1, [_COIL_STATES.get(second, second)]
-    elif function == WRITE_REGISTER:
-        fields["quantity"], fields["values"] = 1, [second]
-    elif function == MASK_WRITE:
-        fields["quantity"] = 1
-        if len(pdu) >= 7:
-            fields["and_mask"], fields["or_mask"] = struct.unpack_from(">HH", pdu, 3)
-    elif function == READ_WRITE:
-        fields["read_address"], fields["read_quantity"] = fields.pop("address"), second
-        if len(pdu) >= 10:
-            fields["address"], fields["quantity"] = struct.unpack_from(">HH", pdu, 5)
-            fields["values"] = _registers(pdu[10:])
-    else:
-        fields["quantity"] = second
-        if function == WRITE_COILS and len(pdu) > 6:
-            fields["values"] = _bits(pdu[6:], second)
-        elif function == WRITE_REGISTERS and len(pdu) > 6:
-            fields["values"] = _registers(pdu[6:])
-    return fields
-
-
-def values_read(request: Mapping[str, Any], response: bytes) -> list[Any] | None:
-    """Return the registers or bits that a response PDU carries; None if it does not answer a read.
-
-    Args:
-        request: the fields of the request, from :func:`describe`.
-        response: the response PDU.
-    """
-    function = response[0]
-    if function in (READ_HOLDING, READ_INPUT, READ_WRITE):
-        return _registers(response[2:])
-    if function in (READ_COILS, READ_DISCRETE):
-        return _bits(response[2:], request.get("quantity", 0))
-    return None
-
-
 def read_response(function: int, values: Sequence[int]) -> bytes:
     """Return the response PDU that answers a read with these registers or bits."""
-    data = _pack_bits(values) if function in (READ_COILS, READ_DISCRETE) else _pack(values)
+    data = packed_bits(values) if function in (READ_COILS, READ_DISCRETE) else packed_registers(values)
     return bytes([function, len(data)]) + data
 
 
@@ -128,8 +71,8 @@ def _read_bits(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
 
 def _read_registers(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
     address, quantity = _span(unit, pdu[1:], 125)
-    registers = unit.holding_registers if pdu[0] == READ_HOLDING else unit.input_registers
-    return read_response(pdu[0], registers[address : address + quantity])
+    cells = unit.holding_registers if pdu[0] == READ_HOLDING else unit.input_registers
+    return read_response(pdu[0], cells[address : address + quantity])
 
 
 def _write_coil(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
@@ -153,14 +96,14 @@ def _write_register(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
 def _write_coils(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
     address, quantity, data = _block(unit, pdu[1:], 1968, lambda count: (count + 7) // 8)
     if apply:
-        unit.coils[address : address + quantity] = _bits(data, quantity)
+        unit.coils[address : address + quantity] = bits(data, quantity)
     return pdu[:5]
 
 
 def _write_registers(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
     address, quantity, data = _block(unit, pdu[1:], 123, lambda count: 2 * count)
     if apply:
-        unit.holding_registers[address : address + quantity] = _registers(data)
+        unit.holding_registers[address : address + quantity] = registers(data)
     return pdu[:5]
 
 
@@ -186,7 +129,7 @@ def _read_write(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
     _within(unit, address, quantity)
     # Section 6.17: the write is performed before the read.
     if apply:
-        unit.holding_registers[address : address + quantity] = _registers(data)
+        unit.holding_registers[address : address + quantity] = registers(data)
     return read_response(READ_WRITE, unit.holding_registers[read_address : read_address + read_quantity])
 
 
@@ -276,22 +219,3 @@ _FUNCTIONS: Mapping[int, Callable[[UnitImage, bytes, bool], bytes]] = {
     ENCAPSULATED: _encapsulated,
 }
 """What executes a request PDU, by function code; False as the last argument leaves the memory as it is."""
-
-
-def _pack(registers: Sequence[int]) -> bytes:
-    return struct.pack(f">{len(registers)}H", *registers)
-
-
-def _registers(data: bytes) -> list[int]:
-    return list(struct.unpack(f">{len(data) // 2}H", data[: len(data) // 2 * 2]))
-
-
-def _bits(data: bytes, quantity: int) -> list[bool]:
-    return [bool(data[i // 8] >> (i % 8) & 1) for i in range(min(quantity, 8 * len(data)))]
-
-
-def _pack_bits(cells: Sequence[int]) -> bytes:
-    data = bytearray((len(cells) + 7) // 8)
-    for i, cell in enumerate(cells):
-        data[i // 8] |= bool(cell) << (i % 8)
-    return bytes(data)

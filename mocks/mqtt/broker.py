@@ -9,17 +9,17 @@ import asyncio
 import itertools
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+
+from pytest_otmcp.wire.mqtt.packets import MQTT_5, Connect, Publish, SubscriptionRequest, Will
+from pytest_otmcp.wire.mqtt.properties import Property
+from pytest_otmcp.wire.mqtt.sparkplug import message_fields
+from pytest_otmcp.wire.mqtt.topics import matches, split_shared
 
 from ..journal import Journal, Origin
-from .describe import describe_content
 from .faults import FaultPlan
-from .packets import MQTT_5, Connect, Publish, SubscriptionRequest, Will
-from .properties import Property
 from .session import Delivery, Message, Session, Subscription
-from .topics import matches, split_shared
 
 __all__ = ["KIT", "Broker", "Limits", "Receiver"]
 
@@ -186,7 +186,7 @@ class Broker:
         self._publish_will(session)
 
     def _will_message(self, will: Will, client_id: str) -> Message:
-        return self._message(will, client_id, describe_content(will.topic, will.payload), will=True)
+        return self._message(will, client_id, will=True)
 
     def _publish_will(self, session: Session) -> None:
         will, session.will = session.will, None
@@ -194,13 +194,14 @@ class Broker:
             return
         # Its expiry interval counts from now (5: section 3.1.3.2.4).
         will = replace(will, arrived=time.monotonic())
-        self.journal.append(
+        self.journal.event(
             connection=session.connection,
             direction="in",
             kind="WILL",
             origin=session.origin,
             client_id=session.client_id,
-            **will.content,
+            topic=will.topic,
+            **message_fields(will.topic, will.payload),
             qos=will.qos,
             retain=will.retain,
         )
@@ -208,12 +209,12 @@ class Broker:
 
     # -- messages -----------------------------------------------------------------------------------------
 
-    def publish(self, packet: Publish, client_id: str, content: Mapping[str, Any]) -> bool:
+    def publish(self, packet: Publish, client_id: str) -> bool:
         """Route what a client publishes; return whether there is a subscriber."""
-        return self.route(self._message(packet, client_id, content))
+        return self.route(self._message(packet, client_id))
 
     @staticmethod
-    def _message(source: Publish | Will, client_id: str, content: Mapping[str, Any], *, will: bool = False) -> Message:
+    def _message(source: Publish | Will, client_id: str, *, will: bool = False) -> Message:
         return Message(
             topic=source.topic,
             payload=source.payload,
@@ -222,7 +223,6 @@ class Broker:
             properties={name: source.properties[name] for name in _TRAVELLING if name in source.properties},
             publisher=client_id,
             arrived=time.monotonic(),
-            content=content,
             will=will,
         )
 

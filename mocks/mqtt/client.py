@@ -5,9 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from ..journal import Direction
-from .codec import decode, encode
-from .packets import (
+from pytest_otmcp.wire.mqtt.codec import decode, encode
+from pytest_otmcp.wire.mqtt.packets import (
     MQTT_311,
     Ack,
     Connack,
@@ -21,12 +20,15 @@ from .packets import (
     Subscribe,
     SubscriptionRequest,
 )
-from .wire import Framer, ProtocolViolation
+from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
+
+from ..journal import Direction
+from .framer import Framer
 
 __all__ = ["Client", "Observer"]
 
-Observer = Callable[[Direction, Packet], None]
-"""Function that is called with every packet and its direction, ``in`` or ``out``."""
+Observer = Callable[[Direction, bytes], None]
+"""Function that is called with the bytes of every packet and its direction, ``in`` or ``out``."""
 
 _ANSWER_TIMEOUT_S = 5.0
 
@@ -118,8 +120,9 @@ class Client(asyncio.Protocol):
 
     def _send(self, packet: Packet) -> None:
         if not self._transport.is_closing():
-            self._observe("out", packet)
-            self._transport.write(encode(packet, MQTT_311))
+            frame = encode(packet, MQTT_311)
+            self._observe("out", frame)
+            self._transport.write(frame)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -135,12 +138,12 @@ class Client(asyncio.Protocol):
         self._framer.feed(data)
         try:
             while frame := self._framer.next():
+                self._observe("in", self._framer.frame)
                 self._received(decode(*frame, MQTT_311))
         except ProtocolViolation:
             self._transport.abort()
 
     def _received(self, packet: Packet) -> None:
-        self._observe("in", packet)
         waiting = self._answers.get(packet.type)
         if waiting is not None and not waiting.done():
             waiting.set_result(packet)

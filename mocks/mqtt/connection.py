@@ -7,18 +7,30 @@ import contextlib
 from dataclasses import replace
 from typing import Any
 
-from ..journal import Direction, Origin
+from pytest_otmcp.wire.mqtt.codec import UnsupportedProtocol, decode, encode
+from pytest_otmcp.wire.mqtt.packets import (
+    MQTT_5,
+    MQTT_311,
+    Connack,
+    Connect,
+    Disconnect,
+    Packet,
+    PacketType,
+    Publish,
+    Suback,
+    Subscribe,
+)
+from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
+from pytest_otmcp.wire.mqtt.properties import PROTOCOL_ERROR, Property
+
+from ..journal import Origin
 from ..network import AT_ONCE, Link
 from ..peer import process_of
 from .broker import KIT, Broker
-from .codec import UnsupportedProtocol, decode, encode
-from .describe import REQUESTS, describe, describe_content, describe_publish
 from .faults import Rule
+from .framer import Framer
 from .packet_handlers import Afterwards, accept, handle, refusal, supervised_keepalive
-from .packets import MQTT_5, MQTT_311, Connack, Connect, Disconnect, Packet, PacketType, Publish, Suback, Subscribe
-from .properties import PROTOCOL_ERROR, Property
 from .session import Delivery, Session
-from .wire import Framer, ProtocolViolation
 
 __all__ = ["Connection"]
 
@@ -29,6 +41,18 @@ TOPIC_ALIAS_INVALID = 0x94
 V311_UNACCEPTABLE_PROTOCOL = 1
 _AS_V311 = {0x86: 4, 0x87: 5}
 """Return codes of 3.1.1 for the reasons of 5 that it has as well: a bad user name or password, and not authorised."""
+
+_ANSWERED = frozenset(
+    {
+        PacketType.CONNECT,
+        PacketType.PUBLISH,
+        PacketType.PUBREL,
+        PacketType.SUBSCRIBE,
+        PacketType.UNSUBSCRIBE,
+        PacketType.PINGREQ,
+    }
+)
+"""Packets to which the broker gives an answer of its own. A PUBREL is sent in the course of a delivery, and answers nothing."""
 
 _LINGER_S = 1.0
 """Seconds in which a client may read the last packet before the connection is cut."""
@@ -44,6 +68,7 @@ class Connection(asyncio.Protocol):
         self._framer = Framer(broker.limits.maximum_packet_size)
         self._level = MQTT_311
         self._client_id: str | None = None
+        self._said: dict[str, Any] = {}
         self._session: Session | None = None
         self._end_reason: str | None = None
         self._held = False
@@ -65,7 +90,7 @@ class Connection(asyncio.Protocol):
         self._loop = asyncio.get_running_loop()
         if self.origin == "client":
             self._broker.journal.heard_of(self.number, process_of(transport))
-        self._record("in", "CONNECTED", peer=transport.get_extra_info("peername")[1])
+        self._event("CONNECTED", peer=transport.get_extra_info("peername")[1])
         self._timer = self._loop.call_later(self._broker.limits.connect_timeout_s, self.end, "no CONNECT in time")
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -73,7 +98,7 @@ class Connection(asyncio.Protocol):
         if self._end_reason is None:
             self._leave("connection lost", publish_will=True)
         self._cancel_timer()
-        self._record("in", "DISCONNECTED", reason=self._end_reason)
+        self._event("DISCONNECTED", reason=self._end_reason)
 
     def data_received(self, data: bytes) -> None:
         if self._end_reason is None:
@@ -89,6 +114,8 @@ class Connection(asyncio.Protocol):
                 raise ProtocolViolation("the first packet is not CONNECT", PROTOCOL_ERROR)
             while self._end_reason is None and not self._held and (frame := self._framer.next()):
                 packet = decode(*frame, self._level)
+                if isinstance(packet, Connect) and packet.protocol_level < MQTT_311:
+                    raise UnsupportedProtocol(packet.protocol_level)
                 self._last_packet = self._loop.time()
                 self._handle(packet)
                 frame = None
@@ -97,25 +124,28 @@ class Connection(asyncio.Protocol):
             if shown[:1] and shown[0] >> 4 == PacketType.CONNECT:
                 # The packet may hold a password.
                 shown = shown[:1]
-            self._record("in", "malformed", bytes=shown[:64].hex(), reason=str(violation))
+            self._event("malformed", bytes=shown[:64].hex(), reason=str(violation))
             if isinstance(violation, UnsupportedProtocol) and self._session is None:
                 # The CONNACK has the form of 3.1.1, which a client of any version can read up to the code.
                 self.send(Connack(session_present=False, reason_code=V311_UNACCEPTABLE_PROTOCOL))
             self.end(str(violation), violation.reason_code)
 
-    def _record(self, direction: Direction, kind: str, **fields: Any) -> int:
-        return self._broker.journal.append(
-            connection=self.number,
-            direction=direction,
-            kind=kind,
-            origin=self.origin,
-            client_id=self._client_id,
-            **fields,
+    def _event(self, kind: str, **fields: Any) -> None:
+        self._broker.journal.event(
+            connection=self.number, direction="in", kind=kind, origin=self.origin, client_id=self._client_id, **fields
         )
 
-    def _write(self, packet: Packet, data: bytes, fields: dict[str, Any], answers: int | None = None) -> None:
+    def _write(self, data: bytes, answers: int | None = None, **said: Any) -> None:
         if self._transport.carries():
-            self._record("out", packet.type.name, answers=answers, **fields)
+            self._broker.journal.frame(
+                data,
+                connection=self.number,
+                direction="out",
+                answers=answers,
+                origin=self.origin,
+                **self._said,
+                **said,
+            )
             self._transport.write(data)
 
     # -- what the session asks for ------------------------------------------------------------------------
@@ -128,14 +158,14 @@ class Connection(asyncio.Protocol):
             rule: fault that says how it travels.
         """
         manner = AT_ONCE if rule is None else rule.manner
-        fields = {"drip_s": manner.drip_s} if manner.drip_s else {}
+        said: dict[str, Any] = {"drip_s": manner.drip_s} if manner.drip_s else {}
         for again in ({}, {"duplicate": True}) if manner.duplicate else ({},):
             if self._end_reason is None:
                 with self._transport.sending(manner):
                     if manner.mangle is not None:
                         self._transport.write(encode(packet, self._level))
                         return
-                    self._write(packet, encode(packet, self._level), describe(packet) | fields | again, answers)
+                    self._write(encode(packet, self._level), answers, **said, **again)
 
     def publish(self, delivery: Delivery, *, dup: bool) -> bool:
         """Send a PUBLISH; return False when the packet is larger than the client accepts [MQTT-3.1.2-24]."""
@@ -162,12 +192,9 @@ class Connection(asyncio.Protocol):
             return False
         if alias is not None:
             self._aliases_out[message.topic] = alias
-        fields = describe_publish(packet, message.content)
-        if message.will:
-            fields["will_sent"] = True
         counted = self._broker.counted
         if counted is None or message.publisher != KIT:
-            self._write(packet, data, fields)
+            self._write(data, **({"will_sent": True} if message.will else {}))
         elif self._transport.carries():
             counted[self.number, self.origin, self._client_id] += 1
             self._transport.write(data)
@@ -227,35 +254,23 @@ class Connection(asyncio.Protocol):
     # -- packets ------------------------------------------------------------------------------------------
 
     def _handle(self, packet: Packet) -> None:
-        content: dict[str, Any] = {}
         if isinstance(packet, Publish):
             packet = self._resolve_alias(packet)
-            content = describe_content(packet.topic, packet.payload)
-            fields = describe_publish(packet, content)
-        else:
-            fields = describe(packet)
         if isinstance(packet, Connect) and self._session is None:
             self._client_id = packet.client_id
-        asks = packet.type in REQUESTS
-        from_outside = self.origin == "client"
         again = isinstance(packet, Connect) and self._session is not None
         rule = None if again else self._broker.faults.match(packet, self._client_id or "")
-        if rule is not None:
-            fields["fault"] = rule.action
-        seq = self._record(
-            "in",
-            packet.type.name,
-            request=asks and from_outside,
-            state_changing=isinstance(packet, Publish) and from_outside,
-            **fields,
+        said = self._said if rule is None else {**self._said, "fault": rule.action}
+        number = self._broker.journal.frame(
+            self._framer.frame, connection=self.number, direction="in", origin=self.origin, **said
         )
-        asked = seq if asks else None
+        asked = number if packet.type in _ANSWERED else None
         if again:
             raise ProtocolViolation("a second CONNECT", PROTOCOL_ERROR)
         if rule is not None and rule.manner.half_open:
             self._transport.die()
         elif isinstance(packet, Connect):
-            self._connect(packet, rule, seq)
+            self._connect(packet, rule, number)
         elif isinstance(packet, Disconnect):
             self._disconnect(packet)
         else:
@@ -271,7 +286,7 @@ class Connection(asyncio.Protocol):
                 return
             if rule is not None and rule.reason_code is not None and isinstance(packet, Subscribe):
                 packet = _granting(packet, rule.reason_code)
-            answer, afterwards = handle(self._broker, self._session, self._level, packet, content)
+            answer, afterwards = handle(self._broker, self._session, self._level, packet)
             if rule is None:
                 self._answer(asked, answer, afterwards)
             else:
@@ -285,7 +300,7 @@ class Connection(asyncio.Protocol):
             others = tuple(one for one in packet.requests if one.filter != rule.topic)
             if others:
                 granted = replace(packet, requests=others)
-                suback, afterwards = handle(self._broker, self._session, self._level, granted, {})
+                suback, afterwards = handle(self._broker, self._session, self._level, granted)
                 assert isinstance(suback, Suback)
                 left = iter(suback.reason_codes)
                 codes = tuple(rule.reason_code if one.filter == rule.topic else next(left) for one in packet.requests)
@@ -351,7 +366,10 @@ class Connection(asyncio.Protocol):
             self.end("CONNECT refused")
             return
         self._session = session
-        self._client_id = session.client_id
+        if session.client_id != self._client_id:
+            # MQTT 3.1.1 does not tell a client which identifier it was given.
+            self._client_id = session.client_id
+            self._said = {"client_id": session.client_id}
         self.receive_maximum = packet.properties.get(Property.RECEIVE_MAXIMUM, self.receive_maximum)
         self._topic_alias_maximum = packet.properties.get(Property.TOPIC_ALIAS_MAXIMUM, 0)
         self._maximum_packet_size = packet.properties.get(Property.MAXIMUM_PACKET_SIZE)

@@ -9,17 +9,18 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from pytest_otmcp.wire.mqtt.packets import Publish
+from pytest_otmcp.wire.mqtt.sparkplug import message_fields
+from pytest_otmcp.wire.mqtt.topics import matches
+
 from ..device import Device
 from ..endpoint import OpenEndpoint
 from ..network import Network
 from .broker import KIT, Broker
 from .connection import Connection
-from .describe import describe_content, describe_publish
 from .edge_node import EdgeNode
 from .faults import FaultPlan
-from .packets import Publish
 from .pokes import BURST_TURN, Burst, command, disconnection, message
-from .topics import matches
 
 __all__ = ["MqttDevice"]
 
@@ -116,11 +117,22 @@ class MqttDevice(Device):
 
     def _publish(self, packet: Publish) -> None:
         """Publish a message of the kit; the journal has it as received on connection 0."""
-        content = describe_content(packet.topic, packet.payload)
         if self.broker.counted is None:
-            fields = describe_publish(packet, content)
-            self.journal.append(connection=0, direction="in", kind="PUBLISH", origin="kit", client_id=KIT, **fields)
-        self.broker.publish(packet, KIT, content)
+            self.journal.event(
+                connection=0,
+                direction="in",
+                kind="PUBLISH",
+                origin="kit",
+                client_id=KIT,
+                # A poke may publish on a topic that is no UTF-8; JSON can show it with its bytes escaped only.
+                topic=packet.topic.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace"),
+                **message_fields(packet.topic, packet.payload),
+                qos=packet.qos,
+                retain=packet.retain,
+                dup=False,
+                packet_id=None,
+            )
+        self.broker.publish(packet, KIT)
 
     async def _burst(self, burst: Burst) -> None:
         if not burst.brief:
@@ -131,7 +143,7 @@ class MqttDevice(Device):
             await self._publish_all(burst)
         finally:
             self.broker.counted = None
-        self.journal.append(
+        self.journal.event(
             connection=0,
             direction="in",
             kind="BURST",
@@ -141,7 +153,7 @@ class MqttDevice(Device):
             count=burst.count,
         )
         for (connection, origin, client_id), count in counted.items():
-            self.journal.append(
+            self.journal.event(
                 connection=connection,
                 direction="out",
                 kind="BURST",

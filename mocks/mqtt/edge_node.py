@@ -18,12 +18,14 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from pytest_otmcp.wire.mqtt.packets import MQTT_311, Connect, Publish, Will
+from pytest_otmcp.wire.mqtt.sparkplug import decode_message
+
 from ..journal import Direction
 from .client import Client, Observer
 from .edge_node_pokes import Births, EdgeNodePoke, read_poke
-from .packets import MQTT_311, Connect, Packet, Publish, Will
 from .plant import Plant, Tag
-from .sparkplug import DATATYPES, decode_message, encode_payload
+from .sparkplug import DATATYPES, encode_payload
 from .sparkplug_values import json_safe
 
 __all__ = ["CLIENT_ID", "EdgeNode"]
@@ -37,7 +39,7 @@ _RECONNECT_S = 0.05
 _DATATYPE_NAMES = {number: name for name, number in DATATYPES.items()}
 
 
-def _ignore(direction: Direction, packet: Packet) -> None:
+def _ignore(direction: Direction, frame: bytes) -> None:
     """Do nothing with a packet."""
 
 
@@ -255,7 +257,7 @@ class EdgeNode:
             self.controls[packet.topic] = packet.payload.decode("utf-8", "replace")
             return
         message = decode_message(packet.topic, packet.payload)
-        if self._client is None or "error" in message:
+        if self._client is None or message is None or "error" in message:
             return
         metrics = message["metrics"]
         if message["type"] == "NCMD":

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pytest_otmcp.wire.mqtt.packets import Packet, Publish, Subscribe, Unsubscribe
+
 from ..fault_plan import FaultRule, Plan
 from ..fault_rules import FLAG, SKIP, TEXT, Table, integer, number, one_of
 from ..network import MANNERS
-from .packets import Packet, Publish, Subscribe, Unsubscribe
 
 __all__ = ["OWN_CLIENTS", "TABLE", "FaultPlan", "Rule"]
 

@@ -5,11 +5,10 @@ A packet that a client must not send at this point raises :class:`~.wire.Protoco
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
-from .broker import Broker
-from .packets import (
+from pytest_otmcp.wire.mqtt.packets import (
     MQTT_5,
     Ack,
     Connack,
@@ -24,9 +23,11 @@ from .packets import (
     Unsuback,
     Unsubscribe,
 )
-from .properties import PROTOCOL_ERROR, Property
+from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
+from pytest_otmcp.wire.mqtt.properties import PROTOCOL_ERROR, Property
+
+from .broker import Broker
 from .session import PACKET_IDENTIFIER_NOT_FOUND, Session
-from .wire import ProtocolViolation
 
 __all__ = ["Afterwards", "accept", "handle", "refusal", "supervised_keepalive"]
 
@@ -72,20 +73,15 @@ def supervised_keepalive(broker: Broker, connect: Connect) -> int:
     return min(connect.keepalive or limit, limit)
 
 
-def handle(
-    broker: Broker, session: Session, level: int, packet: Packet, content: Mapping[str, Any]
-) -> tuple[Packet | None, Afterwards]:
+def handle(broker: Broker, session: Session, level: int, packet: Packet) -> tuple[Packet | None, Afterwards]:
     """Carry out what a packet of a connected client asks for.
-
-    Args:
-        content: the journal's description of a PUBLISH; the entries of its subscribers have the same one.
 
     Returns:
         The packet's answer, if it has one, and the function that sends what has to follow.
     """
     match packet:
         case Publish():
-            return _receive(broker, session, level, packet, content), None
+            return _receive(broker, session, level, packet), None
         case Ack(type=PacketType.PUBREL):
             code = 0 if packet.packet_id in session.incoming else PACKET_IDENTIFIER_NOT_FOUND
             session.incoming.discard(packet.packet_id)
@@ -104,7 +100,7 @@ def handle(
             raise ProtocolViolation(f"an unexpected {packet.type.name}", PROTOCOL_ERROR)
 
 
-def _receive(broker: Broker, session: Session, level: int, packet: Publish, content: Mapping[str, Any]) -> Ack | None:
+def _receive(broker: Broker, session: Session, level: int, packet: Publish) -> Ack | None:
     if Property.SUBSCRIPTION_IDENTIFIER in packet.properties:
         raise ProtocolViolation("a subscription identifier from a client", PROTOCOL_ERROR)
     if packet.qos == 2:
@@ -114,7 +110,7 @@ def _receive(broker: Broker, session: Session, level: int, packet: Publish, cont
         if level == MQTT_5 and len(session.incoming) >= broker.limits.receive_maximum:
             raise ProtocolViolation("the Receive Maximum is exceeded", RECEIVE_MAXIMUM_EXCEEDED)
         session.incoming.add(packet.packet_id)
-    subscribed = broker.publish(packet, session.client_id, content)
+    subscribed = broker.publish(packet, session.client_id)
     if packet.qos == 0:
         return None
     kind = PacketType.PUBACK if packet.qos == 1 else PacketType.PUBREC

@@ -25,12 +25,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pytest_otmcp.wire.mqtt.packets import Publish
+from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
+from pytest_otmcp.wire.mqtt.topics import check_name
+
 from ..fault_rules import FLAG, TEXT, Field, integer, number
-from .packets import Publish
 from .sparkplug import encode_payload
 from .sparkplug_values import metric
-from .topics import check_name
-from .wire import ProtocolViolation
 
 __all__ = ["BURST_TURN", "Burst", "command", "disconnection", "message"]
 

@@ -10,14 +10,14 @@ import asyncio
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
+
+from pytest_otmcp.wire.mqtt.packets import Ack, PacketType
+from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
+from pytest_otmcp.wire.mqtt.properties import PROTOCOL_ERROR, Properties, Property
 
 from ..journal import Origin
-from .packets import Ack, PacketType
-from .properties import PROTOCOL_ERROR, Properties, Property
-from .wire import ProtocolViolation
 
 __all__ = ["Delivery", "Message", "Outlet", "Session", "Subscription"]
 
@@ -32,7 +32,6 @@ class Message:
         properties: those that travel with the message (5: section 3.3.2.3).
         publisher: client id of its sender.
         arrived: time of its arrival, in monotonic seconds.
-        content: the journal's description of topic and payload.
         will: True when it is a will.
     """
 
@@ -43,7 +42,6 @@ class Message:
     properties: Properties = field(default_factory=dict)
     publisher: str
     arrived: float
-    content: Mapping[str, Any]
     will: bool = False
 
     @property

@@ -9,19 +9,13 @@ from typing import Any
 
 from asyncua import ua
 
+from pytest_otmcp.wire.framing import Framer
+from pytest_otmcp.wire.opcua import chunk_length
+
 from .faults import NOTHING, Rule
 from .state import DeviceState
 
-__all__ = ["SESSION_KEEPING", "STATE_CHANGING", "Exchange", "current"]
-
-STATE_CHANGING = frozenset(
-    {"Write", "Call", "HistoryUpdate", "AddNodes", "AddReferences", "DeleteNodes", "DeleteReferences"}
-)
-SESSION_KEEPING = frozenset(
-    {"OpenSecureChannel", "CloseSecureChannel", "FindServers", "GetEndpoints"}
-    | {"CreateSession", "ActivateSession", "CloseSession", "CreateSubscription", "Publish", "DeleteSubscriptions"}
-)
-"""Services that open, keep and close sessions and subscriptions: they do not ask the plant for anything."""
+__all__ = ["Exchange", "current"]
 
 _current: ContextVar[Exchange] = ContextVar("exchange")
 
@@ -34,43 +28,43 @@ def current() -> Exchange:
 class Exchange:
     """One service call, from its request to its answer.
 
+    Args:
+        chunks: of the request; taken out when they are recorded.
+
     Attributes:
         service: its name, OPC 10000-4.
+        request_id: with which its answer is sent.
         rule: the fault that was applied.
-        answer: facts of the answer, for the journal.
+        said: of the answer beside its bytes, for the journal.
     """
 
-    def __init__(self, device: DeviceState, connection: int, service: str, handle: int) -> None:
+    def __init__(
+        self, device: DeviceState, connection: int, service: str, request_id: int, chunks: list[bytes]
+    ) -> None:
         self.service = service
-        self.handle = handle
+        self.request_id = request_id
         self.rule: Rule = NOTHING
-        self.answer: dict[str, Any] = {}
+        self.said: dict[str, Any] = {}
         self._device = device
         self._connection = connection
+        self._chunks = chunks
         self._asked: int | None = None
         _current.set(self)
 
-    def asked(self, about: Sequence[str] | None = None, **facts: Any) -> None:
+    def asked(self, about: Sequence[str] | None = None) -> None:
         """Record the request, the first time that this is called, and find the fault that applies to it.
 
         Args:
             about: node ids that the request names; None for a request to which no fault applies.
-            facts: what the journal has of it.
         """
-        if self._asked is not None:
+        if self._asked is not None or not self._chunks:
             return
         if about is not None:
             self.rule = self._device.faults.match(self.service, about)
-        if self.rule is not NOTHING:
-            facts["fault"] = self.rule.action
-        self._asked = self._device.journal.append(
-            connection=self._connection,
-            direction="in",
-            kind=self.service,
-            request=self.service not in SESSION_KEEPING,
-            state_changing=self.service in STATE_CHANGING,
-            **facts,
-        )
+        said: dict[str, Any] = {} if self.rule is NOTHING else {"fault": self.rule.action}
+        for chunk in self._chunks:
+            self._asked = self._device.journal.frame(chunk, connection=self._connection, direction="in", **said)
+        self._chunks.clear()
 
     async def suffer(self) -> Rule:
         """Apply the fault to this call before it is executed, and return the rule.
@@ -87,15 +81,22 @@ class Exchange:
             raise ua.UaStatusCodeError(getattr(ua.StatusCodes, rule.service_fault))
         return rule
 
-    def answered(self, result: ua.StatusCode, **facts: Any) -> None:
-        """Record the answer; ``facts`` are those of its way."""
+    def answered(self, message: bytes, request_id: int, **said: Any) -> None:
+        """Record an answer.
+
+        Args:
+            message: its chunks, one after the other.
+            request_id: with which it is sent: the library may answer an earlier call while it handles this one.
+            said: of it beside its bytes.
+        """
         self.asked()
-        self._device.journal.append(
-            connection=self._connection,
-            direction="out",
-            kind=self.service,
-            answers=self._asked,
-            service_result=result.name,
-            **self.answer,
-            **facts,
-        )
+        own = request_id == self.request_id
+        for chunk in Framer(chunk_length).feed(message):
+            self._device.journal.frame(
+                chunk,
+                connection=self._connection,
+                direction="out",
+                answers=self._asked if own else None,
+                **(self.said if own else {}),
+                **said,
+            )

@@ -1,4 +1,4 @@
-"""One connection: the journal entries of its messages, BrowseNext, and the faults that concern answers.
+"""One connection: the record of its messages, BrowseNext, and the faults that concern answers.
 
 Private parts of asyncua 2.1 are overridden here and nowhere else: it offers no other place where every service passes.
 """
@@ -6,6 +6,7 @@ Private parts of asyncua 2.1 are overridden here and nowhere else: it offers no 
 from __future__ import annotations
 
 import asyncio
+from contextvars import ContextVar
 from functools import partial
 from typing import Any
 
@@ -16,7 +17,10 @@ from asyncua.server.binary_server_asyncio import OPCUAProtocol
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import SessionState
 from asyncua.server.uaprocessor import UaProcessor
-from asyncua.ua.ua_binary import struct_from_binary
+from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary
+
+from pytest_otmcp.wire.framing import Framer
+from pytest_otmcp.wire.opcua import chunk_length
 
 from ..network import Link
 from ..peer import process_of
@@ -32,10 +36,13 @@ _SERVICES = {
     for name, number in vars(ua.ObjectIds).items()
     if name.endswith(_SUFFIX)
 }
-# The session journals these services itself, with the nodes that they are about.
+# The session records these services itself: it knows which nodes they are about, and so which fault applies.
 _WITH_NODES = frozenset(
     {"Read", "Write", "Browse", "BrowseNext", "TranslateBrowsePaths", "Call", "CreateMonitoredItems"}
 )
+
+_request: ContextVar[list[bytes]] = ContextVar("request")
+"""Chunks of the message that is processed."""
 
 _WITHOUT_SESSION = frozenset({"CreateSession", "GetEndpoints", "FindServers"})
 
@@ -53,33 +60,54 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         self._device = device
         self._number = number
         self._late: set[asyncio.Task[None]] = set()
+        self._chunks: list[bytes] = []
         device.connections.add(self)
 
     def open_secure_channel(self, algohdr: Any, seqhdr: Any, body: Buffer) -> None:
-        Exchange(self._device, self._number, "OpenSecureChannel", 0).asked()
+        self._exchange("OpenSecureChannel", seqhdr.RequestId, self._taken()).asked()
         super().open_secure_channel(algohdr, seqhdr, body)
 
     async def process(self, header: Any, body: Buffer) -> bool:
+        # The messages of the connection protocol below (Hello, Acknowledge) are left out: they are no services.
+        if header.MessageType != ua.MessageType.Hello:
+            self._chunks.append(body._data[: header.packet_size])
         if header.MessageType == ua.MessageType.SecureClose:
-            Exchange(self._device, self._number, "CloseSecureChannel", 0).asked()
+            self._exchange("CloseSecureChannel", 0, self._taken()).asked()
         return bool(await super().process(header, body))
 
+    def _taken(self) -> list[bytes]:
+        """Return the chunks of the message that has arrived."""
+        taken, self._chunks = self._chunks, []
+        return taken
+
+    def _exchange(self, service: str, request_id: int, chunks: list[bytes]) -> Exchange:
+        return Exchange(self._device, self._number, service, request_id, chunks)
+
     async def process_message(self, seqhdr: Any, body: Buffer) -> bool:
+        chunks = self._taken()
         if not self._device.faults:
-            return bool(await super().process_message(seqhdr, body))
+            return await self._processed(seqhdr, body, chunks)
         # A call that a fault delays must not delay the next one.
-        task = asyncio.create_task(self._process_late(seqhdr, body))
+        task = asyncio.create_task(self._process_late(seqhdr, body, chunks))
         self._late.add(task)
         task.add_done_callback(self._late.discard)
         return True
 
-    async def _process_late(self, seqhdr: Any, body: Buffer) -> None:
-        if not await super().process_message(seqhdr, body):
+    async def _process_late(self, seqhdr: Any, body: Buffer, chunks: list[bytes]) -> None:
+        if not await self._processed(seqhdr, body, chunks):
             self._transport.close()
+
+    async def _processed(self, seqhdr: Any, body: Buffer, chunks: list[bytes]) -> bool:
+        _request.set(chunks)
+        try:
+            return bool(await super().process_message(seqhdr, body))
+        finally:
+            # What the library cannot read has arrived all the same.
+            self._exchange("", seqhdr.RequestId, chunks).asked()
 
     async def _process_message(self, typeid: ua.NodeId, requesthdr: Any, seqhdr: Any, body: Buffer) -> bool:
         service = _SERVICES.get(typeid.Identifier, typeid.to_string())
-        exchange = Exchange(self._device, self._number, service, requesthdr.RequestHandle)
+        exchange = self._exchange(service, seqhdr.RequestId, _request.get())
         if self.session is not None and self.session.state is SessionState.Closed and service not in _WITHOUT_SESSION:
             # The library serves a session that is closed.
             exchange.asked(())
@@ -122,28 +150,40 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         elif rule.close:
             self._transport.close()
         elif not rule.drop and self._transport.carries():
-            facts = {"drip_s": rule.manner.drip_s} if rule.manner.drip_s else {}
+            said: dict[str, Any] = {"drip_s": rule.manner.drip_s} if rule.manner.drip_s else {}
             for again in ({}, {"duplicate": True}) if rule.manner.duplicate else ({},):
+                message = self._encoded(requesthandle, seqhdr, response, msgtype)
                 if rule.manner.mangle is None:
-                    exchange.answered(response.ResponseHeader.ServiceResult, **facts, **again)
+                    exchange.answered(message, seqhdr.RequestId, **said, **again)
                 with self._transport.sending(rule.manner):
-                    super().send_response(requesthandle, seqhdr, response, msgtype)
+                    self._transport.write(message)
+
+    def _encoded(
+        self, requesthandle: int, seqhdr: Any, response: Any, msgtype: ua.MessageType = ua.MessageType.SecureMessage
+    ) -> bytes:
+        response.ResponseHeader.RequestHandle = requesthandle
+        message: bytes = self._connection.message_to_binary(
+            struct_to_binary(response), message_type=msgtype, request_id=seqhdr.RequestId
+        )
+        return message
 
     def _notify(self, requesthandle: int, seqhdr: Any, response: ua.PublishResponse) -> None:
         if self._transport.carries():
-            self._notified(response.Parameters)
-            super().send_response(requesthandle, seqhdr, response)
+            nodes = self._nodes(response.Parameters)
+            message = self._encoded(requesthandle, seqhdr, response)
+            # One without values keeps the subscription alive.
+            for chunk in Framer(chunk_length).feed(message) if nodes else ():
+                self._device.journal.frame(chunk, connection=self._number, direction="out", nodes=nodes)
+            self._transport.write(message)
 
-    def _notified(self, result: ua.PublishResult) -> None:
-        """Journal the nodes whose values a notification has; one without values keeps the subscription alive."""
-        nodes = [
+    def _nodes(self, result: ua.PublishResult) -> list[dict[str, str]]:
+        """Return the nodes whose values a notification has: its bytes have only the numbers that the client gave them."""
+        return [
             {"node_id": self.session.monitored[result.SubscriptionId, item.ClientHandle], "attribute": "Value"}
             for data in result.NotificationMessage.NotificationData or []
             for item in getattr(data, "MonitoredItems", None) or []
             if (result.SubscriptionId, item.ClientHandle) in self.session.monitored
         ]
-        if nodes:
-            self._device.journal.append(connection=self._number, direction="out", kind="Publish", nodes=nodes)
 
     async def close(self) -> None:
         self._device.connections.discard(self)
@@ -178,5 +218,5 @@ class PlantProtocol(OPCUAProtocol):  # type: ignore[misc]
         self.processor.set_policies(self.policies)
 
     def connection_lost(self, ex: BaseException | None) -> None:
-        self._device.journal.append(connection=self._number, direction="in", kind="DISCONNECTED")
+        self._device.journal.event(connection=self._number, direction="in", kind="DISCONNECTED")
         super().connection_lost(ex)

@@ -1,4 +1,4 @@
-"""A client's session: journal entries for every service call, and the checks that the library leaves out.
+"""A client's session: what each service call is about, and the checks that the library leaves out.
 
 Checks follow OPC 10000-4: 5.9.2 (Browse), 5.9.3 (BrowseNext), 5.11.2 (Read), 5.11.3 (HistoryRead), 5.11.4 (Write),
 5.12.2 (Call) and 5.14.6 (Republish).
@@ -22,7 +22,7 @@ from .faults import Rule
 from .limits import bounded
 from .plant import MethodRefusal
 from .state import DeviceState
-from .values import finite, fits, to_json
+from .values import finite, fits
 
 __all__ = ["PlantSession"]
 
@@ -63,10 +63,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
 
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         exchange, items = current(), params.NodesToRead or []
-        exchange.asked(
-            _names(item.NodeId for item in items),
-            nodes=[{"node_id": item.NodeId.to_string(), "attribute": _attribute(item.AttributeId)} for item in items],
-        )
+        exchange.asked(_names(item.NodeId for item in items))
         bounded(items, self.device.limits.nodes_per_read)
         if params.MaxAge < 0:
             raise ServiceError(Codes.BadMaxAgeInvalid)
@@ -76,9 +73,6 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         results = [_forced(rule) or self._read_one(item, params.TimestampsToReturn) for item in items]
         if rule.with_status is not None:
             results = [replace(result, StatusCode=_told(rule, result.StatusCode)) for result in results]
-        exchange.answer["results"] = [
-            {"status": result.StatusCode.name, "value": to_json(result.Value.Value)} for result in results
-        ]
         return results
 
     def _read_one(self, item: ua.ReadValueId, stamps: ua.TimestampsToReturn) -> ua.DataValue:
@@ -124,11 +118,10 @@ class PlantSession(InternalSession):  # type: ignore[misc]
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         exchange, items = current(), params.NodesToWrite or []
-        exchange.asked(_names(item.NodeId for item in items), nodes=[_written(item) for item in items])
+        exchange.asked(_names(item.NodeId for item in items))
         bounded(items, self.device.limits.nodes_per_write)
         rule = await exchange.suffer()
         results = [_told(rule, await self._write_one(item, rule)) for item in items]
-        exchange.answer["results"] = [{"status": result.name} for result in results]
         return results
 
     async def _write_one(self, item: ua.WriteValue, rule: Rule) -> ua.StatusCode:
@@ -136,8 +129,9 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             return ua.StatusCode(getattr(Codes, rule.status))
         if (refusal := self._refusal(item)) is not None:
             return ua.StatusCode(refusal)
-        given = _written(item)
-        if (rule.refuse_timestamps and given["has_timestamp"]) or (rule.refuse_status and given["has_status"]):
+        stamped = item.Value.SourceTimestamp is not None or item.Value.ServerTimestamp is not None
+        with_status = item.Value.StatusCode is not None and item.Value.StatusCode.value != 0
+        if (rule.refuse_timestamps and stamped) or (rule.refuse_status and with_status):
             return ua.StatusCode(Codes.BadWriteNotSupported)
         if rule.ack_only:
             return ua.StatusCode()
@@ -176,8 +170,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
 
     async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
         exchange, items = current(), params.NodesToBrowse or []
-        nodes = _names(item.NodeId for item in items)
-        exchange.asked(nodes, nodes=nodes, most=params.RequestedMaxReferencesPerNode)
+        exchange.asked(_names(item.NodeId for item in items))
         bounded(items, self.device.limits.nodes_per_browse)
         if not params.View.ViewId.is_null():
             raise ServiceError(Codes.BadViewIdUnknown)
@@ -188,7 +181,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
 
     async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
         exchange, points = current(), parameters.ContinuationPoints or []
-        exchange.asked((), points=len(points), release=parameters.ReleaseContinuationPoints)
+        exchange.asked(())
         bounded(points, 0)
         forced = _forced(await exchange.suffer())
         if forced is not None:
@@ -199,24 +192,19 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         return self._browsed([] if release else results)
 
     def _browsed(self, results: list[ua.BrowseResult]) -> list[ua.BrowseResult]:
-        current().answer |= {
-            "counts": [len(result.References) for result in results],
-            "results": [{"status": result.StatusCode.name} for result in results],
-            **({"open_points": self.browser.open_points} if self.browser.open_points else {}),
-        }
+        if self.browser.open_points:
+            current().said["open_points"] = self.browser.open_points
         return results
 
     async def translate_browsepaths_to_nodeids(self, params: list[ua.BrowsePath]) -> list[ua.BrowsePathResult]:
         exchange = current()
-        nodes = _names(path.StartingNode for path in params or [])
-        exchange.asked(nodes, nodes=nodes)
+        exchange.asked(_names(path.StartingNode for path in params or []))
         bounded(params, 0)
         await exchange.suffer()
         results: list[ua.BrowsePathResult] = await super().translate_browsepaths_to_nodeids(params)
         for path, result in zip(params, results, strict=True):
             if path.StartingNode not in self.aspace:
                 result.StatusCode = ua.StatusCode(Codes.BadNodeIdUnknown)
-        exchange.answer["results"] = [{"status": result.StatusCode.name} for result in results]
         return results
 
     # -- monitored items ----------------------------------------------------------------------------------
@@ -225,18 +213,13 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
         exchange, items = current(), params.ItemsToCreate or []
-        asked = [item.ItemToMonitor for item in items]
-        exchange.asked(
-            _names(item.NodeId for item in asked),
-            nodes=[{"node_id": item.NodeId.to_string(), "attribute": _attribute(item.AttributeId)} for item in asked],
-        )
+        exchange.asked(_names(item.ItemToMonitor.NodeId for item in items))
         await exchange.suffer()
         for item in items:
             if item.ItemToMonitor.AttributeId == Ids.Value:
                 handle = item.RequestedParameters.ClientHandle
                 self.monitored[params.SubscriptionId, handle] = item.ItemToMonitor.NodeId.to_string()
         results: list[ua.MonitoredItemCreateResult] = await super().create_monitored_items(params)
-        exchange.answer["results"] = [{"status": result.StatusCode.name} for result in results]
         return results
 
     # -- subscriptions ------------------------------------------------------------------------------------
@@ -262,17 +245,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
         exchange = current()
-        nodes = _names(request.MethodId for request in params or [])
-        methods = [
-            {
-                "object_id": request.ObjectId.to_string(),
-                "method_id": request.MethodId.to_string(),
-                "arguments": [to_json(argument.Value) for argument in request.InputArguments or []],
-                "types": [argument.VariantType.name for argument in request.InputArguments or []],
-            }
-            for request in params or []
-        ]
-        exchange.asked(nodes, nodes=nodes, methods=methods)
+        exchange.asked(_names(request.MethodId for request in params or []))
         bounded(params, self.device.limits.methods_per_call)
         rule = await exchange.suffer()
         forced = _forced(rule)
@@ -286,10 +259,6 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             except MethodRefusal as refusal:
                 results.append(refusal.result())
             results[-1].StatusCode = _told(rule, results[-1].StatusCode)
-        exchange.answer["results"] = [
-            {"status": result.StatusCode.name, "outputs": [to_json(output.Value) for output in result.OutputArguments]}
-            for result in results
-        ]
         return results
 
     async def _perform(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
@@ -321,14 +290,6 @@ def _names(nodes: Iterable[ua.NodeId]) -> list[str]:
     return [node.to_string() for node in nodes]
 
 
-def _attribute(number: int) -> str:
-    try:
-        name: str = Ids(number).name
-    except ValueError:
-        return str(number)
-    return name
-
-
 def _bad(code: int) -> ua.DataValue:
     return ua.DataValue(StatusCode=ua.StatusCode(code))
 
@@ -342,18 +303,6 @@ def _told(rule: Rule, status: ua.StatusCode) -> ua.StatusCode:
     if rule.with_status is None or not status.is_good():
         return status
     return ua.StatusCode(getattr(Codes, rule.with_status))
-
-
-def _written(item: ua.WriteValue) -> dict[str, Any]:
-    value = item.Value.Value
-    return {
-        "node_id": item.NodeId.to_string(),
-        "attribute": _attribute(item.AttributeId),
-        "value": to_json(value.Value),
-        "variant_type": value.VariantType.name,
-        "has_status": item.Value.StatusCode is not None and item.Value.StatusCode.value != 0,
-        "has_timestamp": item.Value.SourceTimestamp is not None or item.Value.ServerTimestamp is not None,
-    }
 
 
 def _slice(value: ua.Variant, text: str) -> ua.Variant | int:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from pytest_otmcp.wire.profibus import BROADCAST, NO_ACKNOWLEDGEMENT, SHORT_ACKNOWLEDGEMENT, TOKEN, Telegram, service_of
+
 from ..device import Device
 from ..endpoint import OpenEndpoint
 from ..serial_line import SerialLine
@@ -20,9 +22,7 @@ from .faults import FaultPlan, Rule
 from .plant import Plant
 from .pokes import poke
 from .receiver import Receiver
-from .services import NO_ACKNOWLEDGEMENT, describe, service_of
 from .slave import Reply, Slave
-from .wire import BROADCAST, SHORT_ACKNOWLEDGEMENT, TOKEN, Telegram
 
 __all__ = ["ProfibusDevice"]
 
@@ -99,18 +99,19 @@ class ProfibusDevice(Device):
         self._receiver.feed(data)
 
     def _malformed(self, raw: bytes, reason: str) -> None:
-        self._record("malformed", bytes=raw[:_SHOWN].hex(), reason=reason)
+        shown = raw[:_SHOWN].hex()
+        self.journal.event(connection=self._client, direction="in", kind="malformed", bytes=shown, reason=reason)
 
-    def _record(self, kind: str, **fields: Any) -> int:
-        return self.journal.append(connection=self._client, direction="in", kind=kind, **fields)
+    def _record(self, raw: bytes, **said: Any) -> int:
+        return self.journal.frame(raw, connection=self._client, direction="in", **said)
 
     def _frame(self, raw: bytes) -> None:
         if raw[0] in (TOKEN, SHORT_ACKNOWLEDGEMENT):
-            self._record("token" if raw[0] == TOKEN else "message", telegram=raw.hex())
+            self._record(raw)
             return
         telegram = Telegram.parse(raw)
         if not telegram.is_request:
-            self._record("message", telegram=raw.hex())
+            self._record(raw)
         elif telegram.function in NO_ACKNOWLEDGEMENT:
             self._without_answer(telegram, raw)
         else:
@@ -134,9 +135,7 @@ class ProfibusDevice(Device):
         )
         changes = service == "global_control" and command != _OPERATE and not leaves
         rule = self.faults.match(service, request.destination, changes=False)
-        self._record(
-            "request", request=True, state_changing=changes, **describe(request), **_of(rule), telegram=raw.hex()
-        )
+        self._record(raw, state_changing=changes, **_of(rule))
         if service == "global_control" and (rule is None or not (rule.lose or rule.ack_only)):
             for slave in addressed.values():
                 slave.control(request.source, command)
@@ -146,8 +145,7 @@ class ProfibusDevice(Device):
         slave = self.plant.slaves.get(request.destination)
         if slave is not None and not slave.present:
             slave = None
-        fields = describe(request)
-        service = fields["service"]
+        service = service_of(request)
         last = self._last.get(request.destination)
         repeated = (
             slave is not None
@@ -159,10 +157,9 @@ class ProfibusDevice(Device):
         changes = not repeated and not cycles and _changes(slave, service, request)
         rule = self.faults.match(service, request.destination, changes=changes and service == "data_exchange")
         kind = "cycle" if cycles and not (repeated and last is not None and not last.cycle) else "request"
-        fields |= ({"repeated": True} if repeated else {}) | _of(rule)
-        record = partial(
-            self._record, kind, request=kind == "request", state_changing=changes, **fields, telegram=raw.hex()
-        )
+        # Which of the two it is, and whether it changes something, depends on what the slave holds.
+        said = {"kind": kind, "request": kind == "request", "state_changing": changes}
+        record = partial(self._record, raw, **said, **({"repeated": True} if repeated else {}), **_of(rule))
         if slave is None or (rule is not None and rule.lose):
             # Who repeats its outputs to a slave that is silent is told of once, by the first telegram without an answer.
             if kind != "cycle" or self._cycled.pop(request.destination, None) is not None:
@@ -226,7 +223,7 @@ class ProfibusDevice(Device):
         if slave.watchdog_s is None:
             return
         held = bytes(slave.outputs)
-        self.journal.append(
+        self.journal.event(
             connection=0, direction="out", kind="watchdog", origin="plant", station=address, outputs=held.hex()
         )
         slave.leave()
@@ -256,30 +253,22 @@ class ProfibusDevice(Device):
             self._unrelated("mangled", raw[: rule.truncate])
             return
         falsified = rule or Rule()
-        shown: dict[str, Any] = {
-            "service": service,
-            "station": _either(falsified.answer_station, request.destination),
-            "master": _either(falsified.answer_master, request.source),
-            "status": reply.function,
-            "data": _data(reply, rule).hex(),
-        }
+        said: dict[str, Any] = {}
+        if rule is not None:
+            # Other requests may have come meanwhile.
+            said["service"] = service
+            said["station"] = _either(falsified.answer_station, request.destination)
+            said["master"] = _either(falsified.answer_master, request.source)
         for index in range(2 if falsified.manner.duplicate else 1):
             if self.line.carries():
                 if index:
-                    shown["duplicate"] = True
-                self.journal.append(
-                    connection=self._client,
-                    direction="out",
-                    kind="response",
-                    answers=asked,
-                    **shown,
-                    telegram=raw.hex(),
-                )
+                    said["duplicate"] = True
+                self.journal.frame(raw, connection=self._client, direction="out", answers=asked, **said)
                 self.line.send(raw, falsified.manner.drip_s)
 
     def _unrelated(self, kind: str, data: bytes) -> None:
         if self.line.carries():
-            self.journal.append(connection=self._client, direction="out", kind=kind, bytes=data.hex())
+            self.journal.event(connection=self._client, direction="out", kind=kind, bytes=data.hex())
             self.line.send(data)
 
 

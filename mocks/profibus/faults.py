@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pytest_otmcp.wire.profibus import SERVICES
+
 from ..fault_plan import FaultRule, Plan
 from ..fault_rules import FLAG, SKIP, Table, hexadecimal, integer, number, one_of
 from ..network import MANNERS
-from .services import SERVICES
 
 __all__ = ["TABLE", "FaultPlan", "Rule"]
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from .wire import IllegalTelegram, telegram_length
+from pytest_otmcp.wire.framing import MalformedError
+from pytest_otmcp.wire.profibus import telegram_length
 
 __all__ = ["Receiver"]
 
@@ -17,7 +18,7 @@ class Receiver:
     """The receiver of one line.
 
     Args:
-        telegram: takes a telegram; it may raise an IllegalTelegram.
+        telegram: takes a telegram; it may raise an MalformedError.
         malformed: takes bytes that are none, and the reason.
     """
 
@@ -36,7 +37,7 @@ class Receiver:
         while self._buffer:
             try:
                 length = telegram_length(self._buffer)
-            except IllegalTelegram as fault:
+            except MalformedError as fault:
                 # Where the next telegram begins cannot be told: a real station waits until the line is idle.
                 self._give_up(str(fault))
                 return
@@ -49,7 +50,7 @@ class Receiver:
             del self._buffer[:length]
             try:
                 self._telegram(raw)
-            except IllegalTelegram as fault:
+            except MalformedError as fault:
                 self._malformed(raw, str(fault))
 
     def _give_up(self, reason: str) -> None:

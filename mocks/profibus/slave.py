@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from .wire import Telegram
+from pytest_otmcp.wire.profibus import Telegram
 
 __all__ = ["DATA_EXCHANGE", "NEGATIVE", "NO_SERVICE", "WAIT_CFG", "WAIT_PRM", "Reply", "Slave", "lengths"]
 

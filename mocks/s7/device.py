@@ -12,23 +12,28 @@ from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
-from ..framed_connection import FramedConnection, IllegalFrame
-from ..tcp_device import TcpDevice
-from .faults import FaultPlan, Rule
-from .image import Plant
-from .jobs import Session, answer_fields, describe, execute
-from .pokes import Restless, poke, restless_bits
-from .wire import (
+from pytest_otmcp.wire.framing import MalformedError
+from pytest_otmcp.wire.s7 import (
     CONNECT_REQUEST,
     DATA,
     DISCONNECT_REQUEST,
+    JOB,
+    USER_DATA,
     Connect,
     Pdu,
     confirm,
     data_frame,
-    frame_length,
     refuse,
+    request_fields,
+    tpkt_length,
 )
+
+from ..framed_connection import FramedConnection
+from ..tcp_device import TcpDevice
+from .faults import FaultPlan, Rule
+from .image import Plant
+from .jobs import Session, execute
+from .pokes import Restless, poke, restless_bits
 
 __all__ = ["S7Device"]
 
@@ -82,7 +87,7 @@ class _Connection(FramedConnection[S7Device]):
     """One client's connection. Requests are answered in order."""
 
     def __init__(self, device: S7Device) -> None:
-        super().__init__(device, frame_length)
+        super().__init__(device, tpkt_length)
         self._session: Session | None = None
         """None until the client has connected by COTP."""
 
@@ -90,46 +95,40 @@ class _Connection(FramedConnection[S7Device]):
         tpdu = raw[4:]
         kind = tpdu[1]
         if kind == CONNECT_REQUEST and self._session is None:
-            self._connect(Connect.parse(tpdu))
+            self._connect(raw, Connect.parse(tpdu))
         elif kind == DISCONNECT_REQUEST:
-            self.record("in", "disconnect_request")
+            self.received(raw)
             self.transport.close()
         elif kind != DATA or self._session is None:
-            raise IllegalFrame(f"COTP: a TPDU {kind:02X} {'before' if self._session is None else 'after'} connecting")
+            raise MalformedError(f"COTP: a TPDU {kind:02X} {'before' if self._session is None else 'after'} connecting")
         elif tpdu[0] != 2 or tpdu[2] != 0x80:
-            raise IllegalFrame("COTP: a TPDU that is no whole PDU")
+            raise MalformedError("COTP: a TPDU that is no whole PDU")
         else:
-            self._request(self._session, tpdu[3:])
+            self._request(self._session, raw, tpdu[3:])
 
-    def _connect(self, request: Connect) -> None:
-        place = {"rack": request.rack, "slot": request.slot}
-        self.record("in", "connect_request", called=request.called.hex(), calling=request.calling.hex(), **place)
+    def _connect(self, raw: bytes, request: Connect) -> None:
+        if len(request.called) != 2:
+            raise MalformedError("COTP: a connection request without a called TSAP of two bytes")
+        self.received(raw)
         accepted = (request.rack, request.slot) == (_RACK, _SLOT)
-        if self.transport.carries():
-            self.record("out", "connect_confirm" if accepted else "connect_refused")
-        self.transport.write(confirm(request) if accepted else refuse(request))
+        self.send(confirm(request) if accepted else refuse(request), None)
         if accepted:
             self._session = Session()
         else:
             self.transport.close()
 
-    def _request(self, session: Session, raw: bytes) -> None:
-        request = Pdu.parse(raw)
-        fields = describe(request)
+    def _request(self, session: Session, raw: bytes, pdu: bytes) -> None:
+        request = Pdu.parse(pdu)
+        if request.rosctr not in (JOB, USER_DATA) or not request.parameters:
+            raise MalformedError("S7: no header of a job or of user data")
+        fields = request_fields(request)
         setting_up = fields["service"] == "setup"
         if not session.pdu_size and not setting_up:
-            raise IllegalFrame("S7: a request before the agreement on a PDU")
-        if session.pdu_size and len(raw) > session.pdu_size:
-            raise IllegalFrame(f"S7: a PDU of {len(raw)} bytes, {session.pdu_size} were agreed to")
+            raise MalformedError("S7: a request before the agreement on a PDU")
+        if session.pdu_size and len(pdu) > session.pdu_size:
+            raise MalformedError(f"S7: a PDU of {len(pdu)} bytes, {session.pdu_size} were agreed to")
         rule = self.device.faults.match(fields)
-        asked = self.record(
-            "in",
-            "setup" if setting_up else "request",
-            request=not setting_up,
-            **fields,
-            pdu=raw.hex(),
-            **({} if rule is None else {"fault": rule.action}),
-        )
+        asked = self.received(raw, rule)
         if rule is not None and rule.manner.half_open:
             self.transport.die()
             return
@@ -138,20 +137,18 @@ class _Connection(FramedConnection[S7Device]):
                 bits.move(self.device.plant)
         answer = execute(self.device.plant, session, request, rule)
         if rule is None:
-            self._send(asked, fields, answer)
+            self.send(data_frame(answer.encoded()), asked)
         else:
-            self.misbehave(rule, partial(self._send, asked, fields, _falsified(rule, answer), rule))
+            self.misbehave(rule, partial(self._falsify, asked, _falsified(rule, answer), rule))
 
-    def _send(self, asked: int, request: Mapping[str, Any], answer: Pdu, rule: Rule | None = None) -> None:
-        """Answer the request that has the sequence number ``asked``, in the manner of a rule."""
-        pdu = answer.encoded()
-        frame = data_frame(pdu)
-        fields = {**answer_fields(answer, request), "pdu": pdu.hex()}
-        if rule is not None and rule.length:
-            fields["length"] = rule.length
+    def _falsify(self, asked: int, answer: Pdu, rule: Rule) -> None:
+        """Send the answer that a rule has made to a request."""
+        said: dict[str, Any] = {}
+        frame = data_frame(answer.encoded())
+        if rule.length:
             frame = frame[:2] + ((len(frame) + rule.length) & 0xFFFF).to_bytes(2) + frame[4:]
-        kind = "setup_response" if request["service"] == "setup" else "response"
-        self.write(frame, kind, asked, rule, **fields)
+            said = {"length": rule.length}
+        self.send(frame, asked, rule, **said)
 
 
 def _falsified(rule: Rule, answer: Pdu) -> Pdu:

@@ -7,27 +7,32 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+
+from pytest_otmcp.wire.s7 import (
+    ACK_DATA,
+    CLOCK,
+    READ,
+    SET_CLOCK,
+    SETUP,
+    SUCCESS,
+    SZL,
+    USER_DATA,
+    WRITE,
+    Pdu,
+    variables,
+    written_data,
+)
 
 from .faults import Rule
 from .image import Plant
-from .items import SUCCESS, read_answer, store, variables, written_data
+from .items import read_answer, store
 from .szl import system_status
-from .wire import ACK_DATA, JOB, USERDATA, Pdu
 
-__all__ = ["Session", "answer_fields", "describe", "execute"]
+__all__ = ["Session", "execute"]
 
-READ, WRITE, CONTROL, STOP = 4, 5, 0x28, 0x29
-SETUP = 0xF0
-SZL, CLOCK, SET_CLOCK = (4, 1), (7, 1), (7, 2)
-
-_JOBS = {SETUP: "setup", READ: "read", WRITE: "write", CONTROL: "control", STOP: "stop"}
-_USER_DATA = {SZL: "szl", CLOCK: "clock", SET_CLOCK: "set_clock"}
-_CHANGING_JOBS = {WRITE, CONTROL, STOP, 0x1A, 0x1B, 0x1C}
-_CHANGING_USER_DATA = {SET_CLOCK}
+CONTROL, STOP = 0x28, 0x29
 
 NOT_ALLOWED, WRONG_PDU, NOT_AVAILABLE = 0x8104, 0x8500, 0xD401
 WRONG_STATE = 0x8402
@@ -51,14 +56,6 @@ class Session:
     sequence: int = 0
 
 
-def _service_of(request: Pdu) -> str:
-    """Return what a request asks for."""
-    if request.rosctr == JOB:
-        return _JOBS.get(request.parameters[0], "other")
-    group = _group(request)
-    return "other" if group is None else _USER_DATA.get(group, "other")
-
-
 def _group(request: Pdu) -> tuple[int, int] | None:
     """Return function group and subfunction of user data; None where its parameters are none."""
     head = request.parameters
@@ -70,30 +67,9 @@ def _group(request: Pdu) -> tuple[int, int] | None:
     return head[5] & 0x0F, head[6]
 
 
-def describe(request: Pdu) -> dict[str, Any]:
-    """Return the members that the journal has of a request, as far as its bytes contain them."""
-    fields: dict[str, Any] = {"service": _service_of(request), "reference": request.reference}
-    if request.rosctr == JOB:
-        function = request.parameters[0]
-        fields |= {"function": function, "state_changing": function in _CHANGING_JOBS}
-        asked = variables(request.parameters) if function in (READ, WRITE) else None
-        if asked is not None:
-            fields["items"] = [variable.described() for variable in asked]
-            written = written_data(asked, request.data) if function == WRITE else None
-            for item, (_, content) in zip(fields["items"], written or (), strict=False):
-                item["data"] = content.hex()
-        return fields
-    group = _group(request)
-    if group is not None:
-        fields |= {"group": group[0], "subfunction": group[1], "state_changing": group in _CHANGING_USER_DATA}
-        if group == SZL and len(request.data) == 8:
-            fields["szl_id"], fields["szl_index"] = struct.unpack_from(">HH", request.data, 4)
-    return fields
-
-
 def execute(plant: Plant, session: Session, request: Pdu, rule: Rule | None) -> Pdu:
     """Execute a request and return its answer."""
-    if request.rosctr == USERDATA:
+    if request.rosctr == USER_DATA:
         return _user_data(plant, session, request, rule)
     function = request.parameters[0]
     error, parameters, data = 0, bytes([function]), b""
@@ -191,7 +167,7 @@ def _user_data(plant: Plant, session: Session, request: Pdu, rule: Rule | None) 
     code = forced if forced is not None else SUCCESS if content else 0x0A
     shown = content if forced is None else b""
     data = struct.pack(">BBH", code, 9 if shown else 0, len(shown)) + shown
-    return Pdu(rosctr=USERDATA, reference=request.reference, parameters=_PERMANENT + status, data=data)
+    return Pdu(rosctr=USER_DATA, reference=request.reference, parameters=_PERMANENT + status, data=data)
 
 
 def _clock() -> bytes:
@@ -199,33 +175,3 @@ def _clock() -> bytes:
     now = datetime.fromtimestamp(time.time(), UTC)
     digits = now.strftime("%y%m%d%H%M%S") + f"{now.microsecond // 1000:03}" + str(now.isoweekday() % 7 + 1)
     return bytes([0, 0x19]) + bytes.fromhex(digits)
-
-
-def _item_values(response: Pdu) -> list[dict[str, Any]]:
-    """Return code and, for reads, data of each variable that an answer is about, for the journal."""
-    function = response.parameters[0] if response.parameters else None
-    if response.rosctr != ACK_DATA or function not in (READ, WRITE):
-        return []
-    if function == WRITE:
-        return [{"code": code} for code in response.data]
-    found: list[dict[str, Any]] = []
-    rest = response.data
-    while len(rest) >= 4:
-        code, transport, length = struct.unpack_from(">BBH", rest)
-        size = (length + 7) // 8 if transport in (4, 5) else length
-        entry: dict[str, Any] = {"code": code}
-        if code == SUCCESS:
-            entry["data"] = rest[4 : 4 + size].hex()
-        found.append(entry)
-        rest = rest[4 + size + size % 2 :]
-    return found
-
-
-def answer_fields(response: Pdu, request: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the members that the journal has of an answer."""
-    fields: dict[str, Any] = {"service": request["service"], "reference": response.reference}
-    error = response.error
-    if response.rosctr == USERDATA and len(response.parameters) == 12:
-        error = int.from_bytes(response.parameters[10:12])
-        fields["code"] = response.data[0] if response.data else None
-    return {**fields, "error": error or None, "items": _item_values(response)}

@@ -22,9 +22,7 @@ from ..control_socket import ControlSocket
 from ..device import Device
 from ..endpoint import OpenEndpoint
 from ..journal import Direction
-from ..mqtt.describe import describe
 from ..mqtt.edge_node import CLIENT_ID, EdgeNode
-from ..mqtt.packets import Packet
 
 __all__ = ["SparkplugSimulator", "broker_address", "run"]
 
@@ -51,11 +49,8 @@ class SparkplugSimulator(Device):
         self._address = (host, port)
         self._edge_node = EdgeNode(self._observe)
 
-    def _observe(self, direction: Direction, packet: Packet) -> None:
-        fields = describe(packet)
-        self.journal.append(
-            connection=1, direction=direction, kind=packet.type.name, origin="plant", client_id=CLIENT_ID, **fields
-        )
+    def _observe(self, direction: Direction, frame: bytes) -> None:
+        self.journal.frame(frame, connection=1, direction=direction, origin="plant", client_id=CLIENT_ID)
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         """Connect to the broker. Clients never connect to an edge node: there are no endpoints."""

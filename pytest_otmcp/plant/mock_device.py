@@ -24,7 +24,8 @@ from ..session.process import subject_environment
 from ..session.starvation import Patience, finish_within
 from .device import Journal, check_kept
 from .endpoint import Endpoint, first_port, occupied
-from .owners import Peer, PeerProcess, Sessions
+from .journal import DeviceJournal
+from .owners import Sessions, process_told
 
 __all__ = ["MockDevice"]
 
@@ -116,11 +117,18 @@ class MockDevice:
         self._control: _Control | None = None
         self._stderr: asyncio.Task[bytes] | None = None
         self._died: KitError | None = None
+        self._journal = self._new_journal()
         self.endpoints: Mapping[str, Endpoint] = {}
         self.running = False
         self.faulty = False
         self.accepting_ns = 0
         self.sessions = Sessions()
+
+    def _new_journal(self) -> DeviceJournal:
+        known = protocols()
+        described = known.get(self._name) or next((one for one in known.values() if one.mock == self._mock), None)
+        framing = None if described is None else described.framing
+        return DeviceJournal(None if framing is None else framing.conversation)
 
     @property
     def host(self) -> str:
@@ -204,8 +212,9 @@ class MockDevice:
         self.endpoints = {name: Endpoint(name=name, **address) for name, address in ready["endpoints"].items()}
         reader, writer = await asyncio.open_unix_connection(ready["control"], limit=_LINE_LIMIT)
         self._control = _Control(reader, writer, self._name)
+        self._journal = self._new_journal()
         self.running = True
-        others = [_process(told) for told in (await self.ask("alone"))["others"]]
+        others = [process_told(told) for told in (await self.ask("alone"))["others"]]
         await self.ask("pause")
         for other in others:
             if other is not None and self.sessions.owns(other):
@@ -287,13 +296,22 @@ class MockDevice:
         """Return what the device really holds."""
         return await self.ask("image")
 
+    async def _fetch(self, op: str = "journal", timeout_s: float = 0.0) -> None:
+        """Decode what has been recorded since the last time, or what will be within so many seconds (``wait``)."""
+        journal = self._journal
+        fields = {"timeout_s": timeout_s} if op == "wait" else {}
+        told = await self.ask(op, answer_within_s=timeout_s + _ANSWER_TIMEOUT_S, since=journal.taken, **fields)
+        journal.take(told)
+
     async def mark(self) -> int:
         """Return the sequence number that the next journal entry will get."""
-        return int((await self.ask("journal", since=sys.maxsize))["next"])
+        await self._fetch()
+        return self._journal.next
 
     async def first(self) -> int:
         """Return the sequence number of the oldest journal entry that has not been released, or of the next entry."""
-        return int((await self.ask("journal", since=sys.maxsize))["first"])
+        await self._fetch()
+        return self._journal.first
 
     async def journal(self, since: int) -> Journal:
         """Return the entries from ``since`` on.
@@ -301,13 +319,15 @@ class MockDevice:
         Raises:
             KitError: the oldest of them were released, or have given way to newer ones.
         """
-        answer = await self.ask("journal", since=since)
-        check_kept(since, answer["first"])
-        return Journal(entries=self._attributed(answer), next=answer["next"])
+        await self._fetch()
+        journal = self._journal
+        check_kept(since, journal.first)
+        return Journal(entries=self.sessions.attribute(journal.since(since), journal.peers), next=journal.next)
 
     async def forget(self, before: int) -> None:
         """Release the entries before ``before`` for good: they have been read."""
-        await self.ask("forget", before=before)
+        self._journal.forget(before)
+        await self.ask("forget", before=self._journal.taken)
 
     async def wait(
         self, since: int, match: Mapping[str, object], *, timeout_s: float, count: int = 1
@@ -318,26 +338,16 @@ class MockDevice:
         Raises:
             KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.
         """
-        # The device does not know whose an entry is.
+        # Whose an entry is, is decided afterwards.
         fields = {name: value for name, value in match.items() if name != "origin"}
 
         async def look(count: int, timeout_s: float) -> list[JournalEntry]:
-            answer = await self.ask(
-                "wait",
-                answer_within_s=timeout_s + _ANSWER_TIMEOUT_S,
-                since=since,
-                match=fields,
-                count=count,
-                timeout_s=timeout_s,
-            )
-            check_kept(since, answer["first"])
-            return self._attributed(answer)
+            await self._fetch()
+            entries = await self._journal.wait(since, fields, count, timeout_s, lambda s: self._fetch("wait", s))
+            check_kept(since, self._journal.first)
+            return self.sessions.attribute(entries, self._journal.peers)
 
         return await self.sessions.wait(look, match, count=count, timeout_s=timeout_s)
-
-    def _attributed(self, answer: Mapping[str, Any]) -> list[JournalEntry]:
-        peers = {int(number): _peer(peer) for number, peer in answer["peers"].items()}
-        return self.sessions.attribute(answer["entries"], peers)
 
     async def poke(self, **params: object) -> None:
         """Set a value out of band."""
@@ -369,11 +379,3 @@ async def _end_of(stream: asyncio.StreamReader) -> bytes:
     while block := await stream.read(_STDERR_KEPT):
         kept = (kept + block)[-_STDERR_KEPT:]
     return kept
-
-
-def _peer(told: Mapping[str, Any]) -> Peer:
-    return Peer(accepted_ns=told["accepted_ns"], process=_process(told["process"]), spoke=told["spoke"])
-
-
-def _process(told: Mapping[str, Any] | None) -> PeerProcess | None:
-    return None if told is None else PeerProcess(**{**told, "ancestors": tuple(told["ancestors"])})

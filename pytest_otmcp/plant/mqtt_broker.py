@@ -11,10 +11,11 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ..core.errors import KitError
-from ..protocols.framing import Framer
-from ..protocols.mqtt.decoder import MqttConversation, packet_length
+from ..protocols.mqtt.decoder import MqttConversation
 from ..protocols.mqtt.external import EXTERNAL
 from ..protocols.protocol import Framing
+from ..wire.framing import Framer
+from ..wire.mqtt.primitives import packet_length
 from .endpoint import Endpoint
 from .tapped_device import TappedDevice
 

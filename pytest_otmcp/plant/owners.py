@@ -11,12 +11,13 @@ import secrets
 import time
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from ..core.journal_entry import OwnerProcess
 from ..protocols.journal import JournalEntry
 from ..protocols.oracle import has
 
-__all__ = ["TOKEN_VARIABLE", "Peer", "PeerProcess", "Sessions", "new_token"]
+__all__ = ["TOKEN_VARIABLE", "Peer", "PeerProcess", "Sessions", "new_token", "process_told"]
 
 TOKEN_VARIABLE = "OTMCP_SESSION"  # noqa: S105  (it tells processes apart and protects nothing)
 """Environment variable of an adapter's process: which session it belongs to."""
@@ -50,11 +51,18 @@ class Peer:
         accepted_ns: monotonic; when the connection was accepted.
         process: that had it then; None when that cannot be known.
         spoke: sequence number of its first message that is one of the protocol; None as long as there is none.
+        ended: sequence number of its end; None as long as there is none.
     """
 
     accepted_ns: int
     process: PeerProcess | None
     spoke: int | None = None
+    ended: int | None = None
+
+
+def process_told(told: Mapping[str, Any] | None) -> PeerProcess | None:
+    """Return a process of which a mock tells; None if it knows of none."""
+    return None if told is None else PeerProcess(**{**told, "ancestors": tuple(told["ancestors"])})
 
 
 @dataclass(slots=True, kw_only=True)

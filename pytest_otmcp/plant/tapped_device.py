@@ -149,7 +149,7 @@ class TappedDevice:
             KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.
         """
         journal = self.tap.journal
-        # The tap does not know whose an entry is.
+        # Whose an entry is, is decided afterwards.
         fields = {name: value for name, value in match.items() if name != "origin"}
 
         async def look(count: int, timeout_s: float) -> list[JournalEntry]:

@@ -11,10 +11,10 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..core.finding import Finding
+from ..wire.framing import FrameLength
 from .conversation import Conversation
 from .exercise import Exercise
 from .external import ExternalDevice
-from .framing import FrameLength
 from .journal import Entries, JournalEntry
 from .proof import Proof
 from .session_oracle import SessionOracle

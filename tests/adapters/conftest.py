@@ -25,7 +25,9 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from pytest_otmcp.core.strict_json import parse_strict
+from pytest_otmcp.plant.journal import DeviceJournal
 from pytest_otmcp.protocols.envelope import check_result
+from pytest_otmcp.protocols.registry import protocols
 
 from .cases import Case
 
@@ -311,6 +313,7 @@ class Mock:
             text=True,
             bufsize=1,
         )
+        self._framing = protocols()[protocol].framing
         self._control: socket.socket | None = None
         self._connect()
         self("pause")
@@ -324,6 +327,8 @@ class Mock:
         self._control.settimeout(2 * PATIENCE_S)
         self._control.connect(ready["control"])
         self._lines = self._control.makefile("rb")
+        assert self._framing is not None
+        self._journal = DeviceJournal(self._framing.conversation)
 
     def _event(self, expected: str) -> dict[str, Any]:
         assert self.launcher.stdout
@@ -342,14 +347,17 @@ class Mock:
     def fault(self, *rules: Mapping[str, Any]) -> None:
         self("fault", rules=list(rules))
 
+    def _decoded(self, operation: str = "journal", **members: Any) -> DeviceJournal:
+        self._journal.take(self(operation, since=self._journal.taken, **members))
+        return self._journal
+
     def mark(self) -> int:
         """Return the sequence number that the next journal entry will get."""
-        mark: int = self("journal", since=1 << 60)["next"]
-        return mark
+        return self._decoded().next
 
     def since(self, mark: int, **fields: Any) -> list[dict[str, Any]]:
         """Return the journal entries from the mark on that have these fields."""
-        entries: list[dict[str, Any]] = self("journal", since=mark)["entries"]
+        entries: list[Any] = self._decoded().since(mark)
         return [entry for entry in entries if all(entry.get(name) == value for name, value in fields.items())]
 
     def wait(self, mark: int, count: int = 1, timeout_s: float = PATIENCE_S, **fields: Any) -> list[dict[str, Any]]:
@@ -363,9 +371,12 @@ class Mock:
         return self._wait(mark, 1 << 30, seconds, fields)
 
     def _wait(self, mark: int, count: int, timeout_s: float, fields: Mapping[str, Any]) -> list[dict[str, Any]]:
-        found = self("wait", since=mark, match=fields, count=count, timeout_s=timeout_s)
-        entries: list[dict[str, Any]] = found["entries"]
-        return entries
+        end = time.monotonic() + timeout_s
+        found = self.since(mark, **fields)
+        while len(found) < count and (rest_s := end - time.monotonic()) > 0:
+            self._decoded("wait", timeout_s=rest_s)
+            found = self.since(mark, **fields)
+        return found
 
     def stop(self) -> None:
         assert self.launcher.stdin

@@ -20,8 +20,8 @@ from pytest_otmcp.reference_adapters.mqtt.connection import Message
 from pytest_otmcp.reference_adapters.mqtt.nodes import MAX_HELD, NodeTracker
 
 from pytest_otmcp.protocols.mqtt.entries import payload_of
-from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_payload, payload_class
 from pytest_otmcp.protocols.mqtt.sparkplug_oracle import SparkplugSequence
+from pytest_otmcp.wire.mqtt.sparkplug import DATA_TYPES, decode_payload, payload_class
 
 from ..feeding import fed
 from .cases import MQTT

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from pytest_otmcp.plant.journal import DeviceJournal
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import Adapter, load_subject
@@ -49,6 +50,7 @@ class AtUsualPort:
     """A second device of a protocol, at the port that is usual for it: the plant."""
 
     def __init__(self, protocol: str) -> None:
+        self._protocol = protocol
         command = [sys.executable, "-P", "-m", "pytest_otmcp.mocks", protocol, "--port", str(USUAL_PORTS[protocol])]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert self._process.stdout is not None
@@ -64,7 +66,11 @@ class AtUsualPort:
             channel.connect(self.control)
             channel.sendall(b'{"id": 1, "op": "journal", "since": 0}\n')
             with channel.makefile() as answers:
-                entries = json.loads(answers.readline())["result"]["entries"]
+                told = json.loads(answers.readline())["result"]
+        framing = protocols()[self._protocol].framing
+        journal = DeviceJournal(None if framing is None else framing.conversation)
+        journal.take(told)
+        entries: list[Any] = journal.since(0)
         return [entry for entry in entries if entry["origin"] == "client" and entry["request"]]
 
     def close(self) -> None:

@@ -46,7 +46,7 @@ async def program(request: pytest.FixtureRequest) -> AsyncIterator[MockProgram]:
 async def device(program: MockProgram) -> MockProgram:
     """The mock of the module with its start-up values, and a journal without entries."""
     await program.control.ask("reset")
-    await program.control.ask("forget", before=await program.control.next())
+    await program.control.forget()
     return program
 
 

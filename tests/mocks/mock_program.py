@@ -1,6 +1,7 @@
 """A mock program as a real process, and an async client of its control channel.
 
-The client follows the documented protocol, without the mocks' code: it does what a person with a shell could do.
+The client follows the documented protocol, without the mocks' code: it does what a person with a shell could do. What frames say
+it is told by the kit's decoder.
 """
 
 from __future__ import annotations
@@ -12,6 +13,9 @@ import json
 import os
 import sys
 from typing import Any
+
+from pytest_otmcp.plant.journal import DeviceJournal
+from pytest_otmcp.protocols.registry import protocols
 
 __all__ = ["PATIENCE_S", "Control", "MockProgram", "RefusedError"]
 
@@ -36,6 +40,7 @@ class Control:
         self._ids = itertools.count(1)
         self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self._pump = asyncio.create_task(self._read())
+        self._decoded: DeviceJournal | None = None
 
     @classmethod
     async def connect(cls, path: str) -> Control:
@@ -86,21 +91,41 @@ class Control:
         """Give the device a fault plan of one rule."""
         await self.ask("fault", rules=[{**conditions, "action": action}])
 
+    async def decoded(self) -> DeviceJournal:
+        """Return the journal, with all that the device has recorded until now."""
+        if self._decoded is None:
+            protocol = (await self.ask("ready"))["protocol"]
+            described = protocols().get("mqtt" if protocol == "sparkplug" else protocol)
+            framing = None if described is None else described.framing
+            self._decoded = DeviceJournal(None if framing is None else framing.conversation)
+        self._decoded.take(await self.ask("journal", since=self._decoded.taken))
+        return self._decoded
+
     async def journal(self, since: int = 0, **match: Any) -> list[dict[str, Any]]:
         """Return the entries from ``since`` on that have these fields."""
-        entries = (await self.ask("journal", since=since))["entries"]
+        entries: list[Any] = (await self.decoded()).since(since)
         return [entry for entry in entries if all(entry.get(name) == value for name, value in match.items())]
 
     async def wait(self, since: int = 0, count: int = 1, **match: Any) -> list[dict[str, Any]]:
         """Return the entries with these fields as soon as there are ``count``; fail if there never are."""
-        reply = await self.ask("wait", since=since, match=match, count=count, timeout_s=PATIENCE_S / 2)
-        entries: list[dict[str, Any]] = reply["entries"]
+        journal = await self.decoded()
+
+        async def more(timeout_s: float) -> None:
+            journal.take(await self.ask("wait", since=journal.taken, timeout_s=timeout_s))
+
+        entries: list[Any] = await journal.wait(since, match, count, PATIENCE_S / 2, more)
         assert len(entries) >= count, f"{match} did not happen {count} time(s): {entries}"
         return entries
 
     async def next(self) -> int:
         """Return the sequence number that the next journal entry will get."""
-        return int((await self.ask("journal", since=sys.maxsize))["next"])
+        return (await self.decoded()).next
+
+    async def forget(self) -> None:
+        """Release everything that there is until now."""
+        journal = await self.decoded()
+        journal.forget(journal.next)
+        await self.ask("forget", before=journal.taken)
 
     async def close(self) -> None:
         self._pump.cancel()

@@ -12,14 +12,17 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import paho.mqtt.client as paho
+from own_journal import OwnJournal
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
-from pytest_otmcp.mocks.journal import Entry, Journal
+from pytest_otmcp.mocks.journal import Journal
 from pytest_otmcp.mocks.mqtt.broker import Broker, Limits
 from pytest_otmcp.mocks.mqtt.connection import Connection
 from pytest_otmcp.mocks.network import Network
+
+from pytest_otmcp.protocols.mqtt.decoder import MqttConversation
 
 PATIENCE_S = 40.0
 """Seconds that a test waits for something that must happen; each wait ends as soon as it has happened."""
@@ -32,6 +35,7 @@ class RunningBroker:
 
     def __init__(self, limits: Limits | None = None) -> None:
         self.journal = Journal()
+        self._entries = OwnJournal(self.journal, MqttConversation)
         self.problems: list[dict[str, Any]] = []
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(lambda loop, context: self.problems.append(context))
@@ -74,19 +78,13 @@ class RunningBroker:
 
         self._run(leap())
 
-    def entries(self, **match: Any) -> list[Entry]:
+    def entries(self, **match: Any) -> list[Any]:
         """Return the journal entries with these fields that exist now."""
-        return self.call(
-            lambda: [
-                entry
-                for entry in self.journal.since(0)
-                if all(entry.get(name) == value for name, value in match.items())
-            ]
-        )
+        return self.call(lambda: self._entries.since(0, **match))
 
-    def wait(self, count: int = 1, since: int = 0, **match: Any) -> list[Entry]:
+    def wait(self, count: int = 1, since: int = 0, **match: Any) -> list[Any]:
         """Return the entries with these fields as soon as there are ``count``."""
-        entries: list[Entry] = self._run(self.journal.wait(since, match, count, PATIENCE_S - 1))
+        entries: list[Any] = self._run(self._entries.wait(since, match, count, PATIENCE_S - 1))
         assert len(entries) >= count, f"{match} did not happen {count} time(s)"
         return entries
 

@@ -27,8 +27,6 @@ from rusty_bacnet import (
     PropertyValue,
 )
 
-from pytest_otmcp.protocols.bacnet.decoder import BacnetConversation, contradiction
-
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 MOCK = "bacnet"
 
@@ -422,22 +420,3 @@ async def test_a_silent_device_is_not_there(device: MockProgram) -> None:
     async with BACnetClient("127.0.0.1", 0, apdu_timeout_ms=50) as client:
         with pytest.raises(BacnetAbortError, match="reason=10"):
             await client.read_property(f"127.0.0.1:{device.port}", ZONE, PRESENT)
-
-
-async def test_the_kits_decoder_reads_in_the_bytes_what_the_device_has_recorded(
-    device: MockProgram, peer: BacnetPeer
-) -> None:
-    for request, _ in VECTORS.values():
-        await peer.ask(request)
-    peer.send("1008 0a3039 1a3039", npdu="0100")
-    await peer.answer()
-    peer.send("", npdu="", function=2)
-    await peer.answer()
-    conversation = BacnetConversation()
-    for entry in await device.control.journal():
-        assert contradiction(entry) is None
-        (message,) = conversation.decode(entry["direction"], bytes.fromhex(entry["bytes"]))
-        assert message.kind == entry["kind"]
-        assert set(message.fields) <= set(entry)
-        assert (message.request, message.state_changing) == (entry["request"], entry["state_changing"])
-        assert (message.answers is None) == (entry["answers"] is None)

@@ -20,8 +20,6 @@ from dnp3.master import DefaultSOEHandler, LinkResetPolicy, Master, MasterConfig
 from dnp3_tools import RawDnp3, checksum, crob, link_frame
 from mock_program import MockProgram, RefusedError
 
-from pytest_otmcp.protocols.dnp3.decoder import Dnp3Conversation, contradiction
-
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 MOCK = "dnp3"
 
@@ -438,44 +436,7 @@ async def test_what_is_no_frame_ends_the_connection(device: MockProgram, sent: b
     assert [entry["bytes"] for entry in await device.control.journal(kind="malformed")] == [sent.hex()]
 
 
-# -- decoders, and masters of other authors --------------------------------------------------------------------
-
-
-async def test_the_kits_decoder_reads_in_the_bytes_what_the_outstation_has_recorded(
-    device: MockProgram, raw: RawDnp3
-) -> None:
-    await device.control.poke(point="binary_input/3", value=True)
-    await device.control.poke(point="analog_input/0", value=5)
-    await raw.ask("01 3c0206 3c0306 3c0106")
-    for asked, _ in READS.values():
-        await raw.ask("01" + asked)
-    for objects, _, _ in STATUSES.values():
-        await raw.ask("03" + objects)
-    for other in (
-        "02 500100 0707 00",
-        "02 6e0300 0000 616263",
-        "14 3c0206",
-        "17",
-        "0d",
-        "18",
-        "02 320107 01 000000000000",
-    ):
-        await raw.ask(other)
-    found = await device.control.journal()
-    assert [(entry, contradiction(entry)) for entry in found if contradiction(entry)] == []
-    # A link frame around the same fragment is the same message to the decoder that reads what the tap has recorded.
-    for entry in found:
-        if "apdu" in entry:
-            data = b"\xc0" + bytes.fromhex(entry["apdu"])
-            inwards = entry["direction"] == "in"
-            frame = link_frame(data) if inwards else link_frame(data, control=0x44, destination=1, source=10)
-            if len(data) <= 250:
-                (message,) = Dnp3Conversation().decode(entry["direction"], frame)
-                assert (message.kind, message.request, message.state_changing) == (
-                    entry["kind"],
-                    entry["request"],
-                    entry["state_changing"],
-                )
+# -- masters of other authors --------------------------------------------------------------------
 
 
 async def test_opendnp3_polls_selects_and_operates(device: MockProgram) -> None:

@@ -12,10 +12,13 @@ from typing import Any, cast
 import pytest
 import pytest_asyncio
 from mock_program import PATIENCE_S
-from pytest_otmcp.mocks.framed_connection import AnswerRule, FramedConnection, IllegalFrame
-from pytest_otmcp.mocks.journal import Entry
+from own_journal import OwnJournal
+from pytest_otmcp.mocks.framed_connection import AnswerRule, FramedConnection
 from pytest_otmcp.mocks.network import Mangling, Manner
 from pytest_otmcp.mocks.tcp_device import TcpDevice
+
+from pytest_otmcp.protocols.conversation import Direction, Message
+from pytest_otmcp.wire.framing import MalformedError
 
 pytestmark = pytest.mark.asyncio
 BUFFER = 65_536
@@ -30,6 +33,7 @@ class EchoDevice(TcpDevice):
     def __init__(self) -> None:
         super().__init__()
         self.rule: AnswerRule | None = None
+        self.entries = OwnJournal(self.journal, EchoConversation)
         self.served: list[EchoConnection] = []
         self.full = asyncio.Event()
         """Set when a client has not read its answers for so long that they wait in the device."""
@@ -60,9 +64,9 @@ class EchoConnection(FramedConnection[EchoDevice]):
 
     def frame(self, raw: bytes) -> None:
         if raw[1:] == b"!":
-            raise IllegalFrame("an exclamation mark")
-        asked = self.record("in", "request", request=True, text=raw[1:].decode())
-        send = partial(self.write, raw, "response", asked, self.device.rule)
+            raise MalformedError("an exclamation mark")
+        asked = self.received(raw)
+        send = partial(self.send, raw, asked, self.device.rule)
         if self.device.rule is None:
             send()
         else:
@@ -73,9 +77,17 @@ class EchoConnection(FramedConnection[EchoDevice]):
         self.device.full.set()
 
 
-def frame_length(buffer: bytearray) -> int | None:
+class EchoConversation:
+    """The decoder of one connection; it leaves it to the device to say what answers what."""
+
+    def decode(self, direction: Direction, frame: bytes) -> list[Message]:
+        kind = "request" if direction == "in" else "response"
+        return [Message(direction=direction, kind=kind, fields={"text": frame[1:].decode()}, request=kind == "request")]
+
+
+def frame_length(buffer: bytes | bytearray) -> int | None:
     if buffer[0] == 0xFF:
-        raise IllegalFrame("length 255")
+        raise MalformedError("length 255")
     return 1 + buffer[0]
 
 
@@ -107,8 +119,8 @@ async def client(device: EchoDevice) -> AsyncIterator[tuple[asyncio.StreamReader
             await writer.wait_closed()
 
 
-async def happened(device: EchoDevice, count: int, **match: Any) -> list[Entry]:
-    found = await device.journal.wait(0, match, count, PATIENCE_S)
+async def happened(device: EchoDevice, count: int, **match: Any) -> list[Any]:
+    found = await device.entries.wait(0, match, count, PATIENCE_S)
     assert len(found) == count
     return found
 
@@ -179,7 +191,7 @@ async def test_no_more_requests_are_read_from_a_client_that_reads_no_answers(dev
         await device.full.wait()
         [link] = device.network.links
         assert not link.is_reading()
-        assert len([entry for entry in device.journal.since(0) if entry["kind"] == "request"]) < count
+        assert len([entry for entry in device.entries.since(0) if entry["kind"] == "request"]) < count
         stream.resume_reading()
         assert await reader.readexactly(len(request) * count) == request * count
         await sending
@@ -220,10 +232,21 @@ async def test_an_answer_is_spoilt_as_a_rule_wants_it_and_the_journal_has_what_w
             writer.write_eof()
         assert await everything(reader) == (None if sent is None else b"")
     await happened(device, 1, kind="DISCONNECTED")
-    contract = {"seq", "t_ns", "connection", "direction", "kind", "request", "state_changing", "answers", "origin"}
+    contract = {
+        "seq",
+        "t_ns",
+        "connection",
+        "direction",
+        "kind",
+        "request",
+        "state_changing",
+        "answers",
+        "origin",
+        "text",
+    }
     assert [
         (entry["kind"], entry["answers"], {key: value for key, value in entry.items() if key not in contract})
-        for entry in device.journal.since(0)
+        for entry in device.entries.since(0)
         if entry["direction"] == "out"
     ] == recorded
 
@@ -232,12 +255,12 @@ async def test_what_cannot_be_sent_any_more_is_not_recorded_as_sent(device: Echo
     async with client(device) as (reader, _):
         await happened(device, 1, kind="CONNECTED")
         [connection] = device.served
-        connection.write(b"\x01a", "unasked", None)
+        connection.send(b"\x01a", None)
         assert await asyncio.wait_for(reader.readexactly(2), PATIENCE_S) == b"\x01a"
     await happened(device, 1, kind="DISCONNECTED")
-    connection.write(b"\x01b", "unasked", None)
+    connection.send(b"\x01b", None)
     async with client(device):
         await happened(device, 2, kind="CONNECTED")
         device.network.become("black_hole")
-        device.served[1].write(b"\x01c", "unasked", None)
-    assert [entry["connection"] for entry in device.journal.since(0) if entry["kind"] == "unasked"] == [1]
+        device.served[1].send(b"\x01c", None)
+    assert [entry["connection"] for entry in device.entries.since(0) if entry["kind"] == "response"] == [1]

@@ -10,7 +10,8 @@ import pytest
 from mqtt_tools import Peer, Raw, RunningBroker, connect_bytes, frame, running_broker, utf8
 from pytest_otmcp.mocks.mqtt.broker import Limits
 from pytest_otmcp.mocks.mqtt.faults import FaultPlan
-from pytest_otmcp.mocks.mqtt.wire import varint
+
+from pytest_otmcp.wire.mqtt.primitives import varint
 
 
 @pytest.fixture
@@ -273,7 +274,6 @@ def test_every_packet_of_both_directions_is_journalled_in_order(broker: RunningB
         "payload": base64.b64encode(b"bye").decode(),
         "qos": 0,
         "retain": False,
-        "properties": {},
     }
     assert (connect["username"], connect["protocol_level"], connect["clean_start"]) == ("u", 4, True)
     assert "secret" not in repr(entries)

@@ -6,8 +6,10 @@ import random
 
 import pytest
 from mqtt_tools import connect_bytes, frame, utf8
-from pytest_otmcp.mocks.mqtt.codec import decode, encode
-from pytest_otmcp.mocks.mqtt.packets import (
+from pytest_otmcp.mocks.mqtt.framer import Framer
+
+from pytest_otmcp.wire.mqtt.codec import decode, encode
+from pytest_otmcp.wire.mqtt.packets import (
     Ack,
     Auth,
     Connack,
@@ -25,9 +27,9 @@ from pytest_otmcp.mocks.mqtt.packets import (
     Unsubscribe,
     Will,
 )
-from pytest_otmcp.mocks.mqtt.properties import Property
-from pytest_otmcp.mocks.mqtt.topics import check_filter, check_name, matches, split_shared
-from pytest_otmcp.mocks.mqtt.wire import Framer, ProtocolViolation
+from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
+from pytest_otmcp.wire.mqtt.properties import Property
+from pytest_otmcp.wire.mqtt.topics import check_filter, check_name, matches, split_shared
 
 ALL_PUBLISH_PROPERTIES = {
     Property.PAYLOAD_FORMAT_INDICATOR: 1,

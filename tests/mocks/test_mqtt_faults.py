@@ -15,9 +15,10 @@ import pytest_asyncio
 from mock_program import PATIENCE_S, MockProgram, RefusedError
 from mqtt_tools import Peer, Raw, RunningBroker, connect_bytes, frame, running_broker, utf8
 from pytest_otmcp.mocks.mqtt.faults import FaultPlan
-from pytest_otmcp.mocks.mqtt.sparkplug import decode_message, encode_payload
+from pytest_otmcp.mocks.mqtt.sparkplug import encode_payload
 
 from conftest import StartMock
+from pytest_otmcp.wire.mqtt.sparkplug import decode_message
 
 SUBSCRIBE_AB = frame(0x82, b"\0\1", utf8("a"), b"\1", utf8("b"), b"\1")
 
@@ -332,7 +333,7 @@ async def test_metrics_of_every_datatype_have_special_values(mqtt: MockProgram) 
     assert {kind: one["value"] for kind, one in found.items() if kind != "DataSet"} == {
         kind: value for kind, value in SPECIAL.items() if kind != "DataSet"
     }
-    assert 'columns: "x"' in found["DataSet"]["value"]
+    assert found["DataSet"]["value"]["columns"] == ["n", "x"]
     assert sorted(one["datatype"] for one in found.values()) == list(range(1, 19))
     points = (await mqtt.control.image())["points"]
     assert points["edge_node/new/Double"] == "NaN"

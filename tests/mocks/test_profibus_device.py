@@ -17,8 +17,6 @@ from mock_program import PATIENCE_S, MockProgram
 from profibus_tools import Master, request
 from pytest_otmcp.mocks.profibus.receiver import Receiver
 
-from pytest_otmcp.protocols.profibus.decoder import ProfibusConversation, contradiction
-
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 MOCK = "profibus"
 
@@ -382,7 +380,7 @@ async def test_bytes_that_mean_nothing_are_survived_and_change_nothing(device: M
             data[-2] = sum(data[4:-2]) & 0xFF
         master.send(bytes(data))
         if rng.random() < 0.05:
-            await device.control.ask("journal", since=await device.control.next())
+            await device.control.next()
     # No telegram is longer than these zeros, and none begins with one: an unfinished one is over.
     mark = await device.control.next()
     master.send(bytes(260))
@@ -395,7 +393,7 @@ async def test_bytes_that_mean_nothing_are_survived_and_change_nothing(device: M
 async def test_a_client_is_the_process_that_has_the_terminal_open(device: MockProgram, master: Master) -> None:
     await master.ask(READ)
     whole = await device.control.ask("journal", since=0)
-    (number,) = {entry["connection"] for entry in whole["entries"]}
+    (number,) = {entry["connection"] for entry in whole["records"]}
     assert whole["peers"][str(number)]["process"]["pid"] == os.getpid()
 
 
@@ -556,26 +554,3 @@ async def test_profirust_that_repeats_the_frame_count_bit_for_a_diagnosis_gets_t
     # An FDL status is of no sequence, and ends this one.
     assert await master.ask(request(8, None, control=0x49)) == "100208000a16"
     assert "000c000280a5" in await master.ask(bytes.fromhex(diagnosis))
-
-
-# -- the kit's decoder ----------------------------------------------------------------------------------------
-
-
-async def test_the_kits_decoder_reads_in_the_bytes_what_the_device_has_recorded(
-    device: MockProgram, master: Master
-) -> None:
-    for asked, _ in VECTORS.values():
-        await master.ask(bytes.fromhex(asked))
-    await master.exchange(5, "0102", **STATION_5)
-    await device.control.ask("poke", params={"station": 5, "inputs": "0001"})
-    await master.ask(request(5, None, "0102"))
-    master.send(request(77, None, control=0x49) + bytes.fromhex("dc0302"))
-    await master.ask(request(8, 57))
-    conversation = ProfibusConversation()
-    for entry in await device.control.journal():
-        assert contradiction(entry) is None
-        (message,) = conversation.decode(entry["direction"], bytes.fromhex(entry["telegram"]))
-        assert message.kind == entry["kind"]
-        assert set(message.fields) <= set(entry)
-        assert message.request == entry["request"]
-        assert (message.answers is None) == (entry["answers"] is None)

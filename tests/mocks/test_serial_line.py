@@ -91,6 +91,6 @@ async def test_what_a_client_sent_before_it_closed_the_terminal_is_that_clients(
     finally:
         os.kill(number, signal.SIGCONT)
     answer = await device.control.ask("journal", since=0)
-    first, second = (entry["connection"] for entry in answer["entries"] if entry["direction"] == "in")
+    first, second = (entry["connection"] for entry in answer["records"] if entry["direction"] == "in")
     assert first == second
     assert answer["peers"][str(first)]["process"]["pid"] == sender.pid

@@ -20,10 +20,13 @@ import pytest
 import pytest_asyncio
 from mock_program import MockProgram, RefusedError
 from mqtt_tools import PATIENCE_S, Peer
-from pytest_otmcp.mocks.journal import Entry
+from own_journal import OwnJournal
 from pytest_otmcp.mocks.mqtt.device import MqttDevice
-from pytest_otmcp.mocks.mqtt.sparkplug import decode_message, encode_payload
+from pytest_otmcp.mocks.mqtt.sparkplug import encode_payload
 from pytest_otmcp.mocks.sparkplug.simulator import broker_address
+
+from pytest_otmcp.protocols.mqtt.decoder import MqttConversation
+from pytest_otmcp.wire.mqtt.sparkplug import decode_message
 
 NODE = "spBv1.0/factory/{}/edge-node-1"
 DDATA = "spBv1.0/g/DDATA/n/d"
@@ -86,18 +89,17 @@ def test_a_data_set_is_read() -> None:
     data = bytes.fromhex("1215 0a0164 2010 8a010d 0801 120163 1803 2204 0a02 0807".replace(" ", ""))
     [metric] = decode_message(DDATA, data)["metrics"]
     assert metric["name"] == "d"
-    assert 'columns: "c"' in metric["value"]
-    assert "int_value: 7" in metric["value"]
+    assert metric["value"] == {"columns": ["c"], "rows": [[7]]}
 
 
 @pytest.mark.parametrize("data", [b"\xff", b"\x12\x05ab", b"\x12\x03\x0a\x01\xff", b"hello", b'{"a": 1}'])
 def test_what_is_no_payload_is_reported(data: bytes) -> None:
-    assert "not a Sparkplug payload" in decode_message(DDATA, data)["error"]
+    assert (decode_message(DDATA, data) or {})["error"]
 
 
 @pytest.mark.parametrize("topic", ["spBv1.0/g/DDATA", "spBv1.0/g/DDATA/n/d/x", "other/g/DDATA/n"])
 def test_what_is_no_sparkplug_topic_is_reported(topic: str) -> None:
-    assert decode_message(topic, b"") == {"error": "not a Sparkplug topic"}
+    assert decode_message(topic, b"") is None
 
 
 def test_damaged_payloads_are_described_and_nothing_else_happens() -> None:
@@ -127,12 +129,13 @@ class Plant:
 
     def __init__(self, device: MqttDevice, port: int) -> None:
         self.device, self.port = device, port
+        self.entries = OwnJournal(device.journal, MqttConversation)
 
-    def messages(self, since: int = 0) -> list[Entry]:
+    def messages(self, since: int = 0) -> list[Any]:
         """Return the Sparkplug messages of the edge node, as the broker journalled them."""
         return [
             entry
-            for entry in self.device.journal.since(since)
+            for entry in self.entries.since(since)
             if entry["kind"] == "PUBLISH" and entry["direction"] == "in" and "sparkplug" in entry
             if entry["client_id"] == "otmcp-mock-edge-node-1"
         ]
@@ -146,15 +149,15 @@ class Plant:
         finally:
             await asyncio.to_thread(peer.disconnect)
 
-    async def wait(self, since: int, count: int = 1, **match: Any) -> list[Entry]:
+    async def wait(self, since: int, count: int = 1, **match: Any) -> list[Any]:
         """Return journal entries as soon as there are ``count`` of them."""
-        entries = await self.device.journal.wait(since, match, count, PATIENCE_S)
+        entries = await self.entries.wait(since, match, count, PATIENCE_S)
         assert len(entries) >= count, match
         return entries
 
     async def send(self, topic: str, payload: bytes) -> int:
         """Publish a command; return the journal's next sequence number before it."""
-        since = self.device.journal.next
+        since = self.entries.next
         await self.device.poke({"publish": {"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": 1}})
         return since
 
@@ -183,13 +186,13 @@ def command(*metrics: dict[str, Any]) -> bytes:
 REBIRTH = command(metric("Node Control/Rebirth", "Boolean", True))
 
 
-def kinds(entries: list[Entry]) -> list[tuple[str, str | None, int | None]]:
+def kinds(entries: list[Any]) -> list[tuple[str, str | None, int | None]]:
     return [(one["sparkplug"]["type"], one["sparkplug"]["device"], one["sparkplug"]["seq"]) for one in entries]
 
 
 @pytest.mark.asyncio
 async def test_the_edge_node_is_born_before_clients_are_let_in(plant: Plant) -> None:
-    entries = plant.device.journal.since(0)
+    entries = plant.entries.since(0)
     connect = next(entry for entry in entries if entry["kind"] == "CONNECT")
     assert (connect["connection"], connect["clean_start"]) == (1, True)
     will = connect["will"]
@@ -209,10 +212,10 @@ async def test_the_edge_node_is_born_before_clients_are_let_in(plant: Plant) -> 
 
 @pytest.mark.asyncio
 async def test_a_tick_publishes_data_of_both_devices_and_the_plain_sensors(plant: Plant) -> None:
-    since = plant.device.journal.next
+    since = plant.entries.next
     await plant.device.tick()
     assert kinds(plant.messages(since)) == [("DDATA", "device-1", 3), ("DDATA", "device-2", 4)]
-    topics = [entry["topic"] for entry in plant.device.journal.since(since) if entry["kind"] == "PUBLISH"]
+    topics = [entry["topic"] for entry in plant.entries.since(since) if entry["kind"] == "PUBLISH"]
     assert topics[2:] == ["sensors/temperature", "sensors/pressure", "sensors/humidity"]
     declared = {
         (one["sparkplug"]["device"], m["name"]): m["datatype"]
@@ -314,7 +317,7 @@ async def test_a_lost_connection_is_death_and_the_next_birth_has_the_next_bd_seq
     plant.device.fault(
         [{"packet": "PINGREQ", "client_id": "otmcp-mock-edge-node-1", "times": 1, "action": {"reset": True}}]
     )
-    since = plant.device.journal.next
+    since = plant.entries.next
     await plant.device.tick()
     [death] = await plant.wait(since, kind="WILL")
     assert (death["topic"], death["sparkplug"]["metrics"][0]["value"]) == (NODE.format("NDEATH"), 0)
@@ -326,10 +329,10 @@ async def test_a_lost_connection_is_death_and_the_next_birth_has_the_next_bd_seq
 
 @pytest.mark.asyncio
 async def test_an_orderly_end_publishes_the_death_before_the_disconnect(plant: Plant) -> None:
-    since = plant.device.journal.next
+    since = plant.entries.next
     await plant.device.edge_node.aclose()
     await plant.wait(since, kind="DISCONNECT")
-    entries = [entry["kind"] for entry in plant.device.journal.since(since) if entry["direction"] == "in"]
+    entries = [entry["kind"] for entry in plant.entries.since(since) if entry["direction"] == "in"]
     assert entries[:2] == ["PUBLISH", "DISCONNECT"]
     assert "WILL" not in entries
 
@@ -358,7 +361,7 @@ async def test_a_poke_is_a_message_from_the_kit(plant: Plant) -> None:
         since = await plant.send("sensors/pressure", b"nonce")
         message = await asyncio.to_thread(client.next)
     assert (message.topic, message.payload, message.qos) == ("sensors/pressure", b"nonce", 1)
-    entry = plant.device.journal.since(since)[0]
+    entry = plant.entries.since(since)[0]
     assert (entry["connection"], entry["client_id"], entry["direction"]) == (0, "otmcp-kit", "in")
 
 
@@ -370,7 +373,7 @@ async def test_a_reset_restores_start_up_values_and_keeps_connections(plant: Pla
         await plant.send(NODE.format("DCMD") + "/device-2", command(metric("speed", "Int32", 5)))
         await plant.wait(0, topic=NODE.format("DDATA") + "/device-2", direction="in")
         plant.device.fault([{"packet": "PUBLISH", "client_id": "client", "action": {"close": True}}])
-        since = plant.device.journal.next
+        since = plant.entries.next
         await plant.device.reset()
         image = plant.device.image()
         assert image["edge_node"]["devices"]["device-2"]["speed"] == -10
@@ -421,11 +424,9 @@ async def test_the_simulator_lives_at_a_foreign_broker(
         held = image["edge_node"]
         assert (held["connected"], held["bd_seq"], held["seq"]) == (True, 0, 2)
         assert image["points"]["edge_node/device-2/speed"] == -10
-        roles = {
-            (one["origin"], one["request"], one["state_changing"], one["answers"])
-            for one in await program.control.journal()
-        }
-        assert roles == {("plant", False, False, None)}
+        entries = await program.control.journal()
+        roles = {(one["origin"], one["request"], one["state_changing"], one["client_id"]) for one in entries}
+        assert roles == {("plant", False, False, "otmcp-mock-edge-node-1")}
         await program.control.ask("poke", params={"edge_node": {"death": "device-2"}})
         await program.control.wait(kind="PUBLISH", direction="out", topic=NODE.format("DDEATH") + "/device-2")
         with pytest.raises(RefusedError, match="a poke of an edge node is"):

@@ -18,7 +18,7 @@ from typing import Any
 import paho.mqtt.client as paho
 from foreign import Failure, Result, Shape, prose, structured
 
-from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_message, payload_class
+from pytest_otmcp.wire.mqtt.sparkplug import DATA_TYPES, decode_message, payload_class
 
 NAMESPACE, HOST_ID = "spBv1.0", "foreign-host"
 STATE = f"{NAMESPACE}/STATE/{HOST_ID}"

@@ -1,10 +1,10 @@
-"""Journal entries for the tests of decoders and oracles: decoded from frames as the tap does it, or written by hand."""
+"""Journal entries for the tests of decoders and oracles: decoded from frames as the kit does it, or written by hand."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from pytest_otmcp.plant.tap.journal import TapJournal
+from pytest_otmcp.plant.journal import DeviceJournal
 from pytest_otmcp.protocols.conversation import Conversation, Direction
 
 Entry = Any
@@ -13,9 +13,9 @@ Entry = Any
 
 def decoded(conversation: Conversation, *frames: tuple[Direction, bytes], connection: int = 1) -> list[Entry]:
     """Return the journal of a connection on which these frames passed."""
-    journal = TapJournal()
+    journal = DeviceJournal(lambda: conversation)
     for direction, frame in frames:
-        journal.frame(connection, direction, frame, None, conversation)
+        journal.frame(connection, direction, frame, None)
     return journal.since(0)
 
 

@@ -11,8 +11,8 @@ from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.dnp3 import oracle
 from pytest_otmcp.protocols.dnp3.decoder import Dnp3Conversation, contradiction
 from pytest_otmcp.protocols.dnp3.entries import carried_out, changes, describe, title
-from pytest_otmcp.protocols.dnp3.wire import link_length
-from pytest_otmcp.protocols.framing import Framer, MalformedError
+from pytest_otmcp.wire.dnp3.link import link_length
+from pytest_otmcp.wire.framing import Framer, MalformedError
 
 
 def with_sums(header: str, data: str = "") -> bytes:

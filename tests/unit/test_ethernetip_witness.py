@@ -10,10 +10,11 @@ import pytest
 
 from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.ethernetip import oracle
-from pytest_otmcp.protocols.ethernetip.decoder import EthernetIpConversation, contradiction, frame_length
+from pytest_otmcp.protocols.ethernetip.decoder import EthernetIpConversation, contradiction
 from pytest_otmcp.protocols.ethernetip.entries import carried_out, changes, describe, tag_of, title
 from pytest_otmcp.protocols.ethernetip.trace import facts
-from pytest_otmcp.protocols.framing import Framer, MalformedError
+from pytest_otmcp.wire.ethernetip.frames import frame_length
+from pytest_otmcp.wire.framing import Framer, MalformedError
 
 from .journals import Entry, decoded
 

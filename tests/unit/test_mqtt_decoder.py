@@ -8,8 +8,9 @@ import random
 import pytest
 
 from pytest_otmcp.protocols.conversation import Direction
-from pytest_otmcp.protocols.framing import Framer
-from pytest_otmcp.protocols.mqtt.decoder import MqttConversation, packet_length
+from pytest_otmcp.protocols.mqtt.decoder import MqttConversation
+from pytest_otmcp.wire.framing import Framer
+from pytest_otmcp.wire.mqtt.primitives import packet_length
 
 from .journals import Entry, decoded, entry
 
@@ -136,16 +137,16 @@ def test_a_topic_alias_stands_for_the_topic_it_was_given_with() -> None:
     ("data", "reason"),
     [
         (packet(0x36, string("t"), "0001"), "PUBLISH with QoS 3"),
-        (packet(0x80, "0001", string("t"), "00"), "the flags of SUBSCRIBE are 0000"),
-        (packet(0x82, "0001", string("t"), "05"), "SUBSCRIBE 't' with the options 0x05"),
-        (packet(0x82, "0001", string("t"), "03"), "SUBSCRIBE 't' with the options 0x03"),
-        (packet(0x82, "0001"), "SUBSCRIBE without a filter"),
-        (packet(0x30, "0005", "'abc"), "the packet ends in the middle of a field"),
-        (packet(0x30, "0001 00"), "a string holds the null character"),
-        (packet(0x30, "0001 FF"), "a string is not UTF-8"),
-        (packet(0xC0, "00"), "PINGREQ is longer than its fields"),
-        (packet(0x10, string("MQTT"), "07 02 0000", string("a")), "the protocol is 'MQTT' level 7"),
-        (packet(0x10, string("MQTT"), "04 03 0000", string("a")), "the reserved flag of CONNECT is set"),
+        (packet(0x80, "0001", string("t"), "00"), "SUBSCRIBE has the flags 0000"),
+        (packet(0x82, "0001", string("t"), "05"), "the subscription options have reserved bits set: 00000101"),
+        (packet(0x82, "0001", string("t"), "03"), "SUBSCRIBE with QoS 3"),
+        (packet(0x82, "0001"), "the packet ends too early"),
+        (packet(0x30, "0005", "'abc"), "the packet ends too early"),
+        (packet(0x30, "0001 00"), "a string contains U+0000"),
+        (packet(0x30, "0001 FF"), "a string is not well-formed UTF-8"),
+        (packet(0xC0, "00"), "the packet has 1 bytes too many"),
+        (packet(0x10, string("MQTT"), "07 02 0000", string("a")), "protocol level 7 is not supported"),
+        (packet(0x10, string("MQTT"), "04 03 0000", string("a")), "the reserved CONNECT flag is set"),
     ],
 )
 def test_a_packet_that_must_not_be_is_an_entry_of_its_own(data: bytes, reason: str) -> None:
@@ -157,12 +158,24 @@ def test_a_packet_that_must_not_be_is_an_entry_of_its_own(data: bytes, reason: s
     assert (found["request"], found["state_changing"]) == (False, False)
 
 
+def test_a_connect_of_mqtt_3_1_is_read() -> None:
+    (found,) = decode(("in", packet(0x10, string("MQIsdp"), "03 02 003C", string("old"))))
+    assert (found["kind"], found["protocol_level"], found["client_id"]) == ("CONNECT", 3, "old")
+
+
+@pytest.mark.parametrize(("topic", "shown"), [("0001 FF", "\\xff"), ("0001 00", "\0"), (string("a/#"), "a/#")])
+def test_an_illegal_topic_of_a_brokers_message_is_told_and_of_a_clients_is_none(topic: str, shown: str) -> None:
+    told, refused = decode(("out", packet(0x30, topic, "'x")), ("in", packet(0x30, topic, "'x")))
+    assert (told["kind"], told["topic"], told["payload"]) == ("PUBLISH", shown, b64(b"x"))
+    assert (refused["kind"], refused["packet"]) == ("malformed", "PUBLISH")
+
+
 @pytest.mark.parametrize(
     ("properties", "reason"),
     [
-        ("02 7F00", "there is no property 127"),
-        ("0A 11 00000001 11 00000001", "the property session_expiry_interval occurs twice"),
-        ("03 11 0000", "the packet ends in the middle of a field"),
+        ("02 7F00", "unknown property 127"),
+        ("0A 11 00000001 11 00000001", "the property SESSION_EXPIRY_INTERVAL occurs twice"),
+        ("03 11 0000", "the packet ends too early"),
     ],
 )
 def test_properties_that_must_not_be_make_the_packet_malformed(properties: str, reason: str) -> None:

@@ -13,9 +13,11 @@ from asyncua import ua as untyped_ua
 from asyncua.ua.ua_binary import struct_to_binary, to_binary
 
 from pytest_otmcp.protocols.conversation import Direction
-from pytest_otmcp.protocols.framing import Framer, MalformedError
 from pytest_otmcp.protocols.opcua.binary import BinaryReader, symbol
-from pytest_otmcp.protocols.opcua.decoder import OpcUaConversation, chunk_length
+from pytest_otmcp.protocols.opcua.contradiction import contradiction
+from pytest_otmcp.protocols.opcua.decoder import OpcUaConversation
+from pytest_otmcp.wire.framing import Framer, MalformedError
+from pytest_otmcp.wire.opcua import chunk_length
 
 from .journals import Entry, decoded, entry
 
@@ -56,8 +58,9 @@ def test_a_read_and_its_answer_are_described() -> None:
     answer = ua.ReadResponse()
     bad = ua.StatusCode(ua.StatusCodes.BadNodeIdUnknown)
     answer.Results = [ua.DataValue(ua.Variant(21.5, ua.VariantType.Double)), ua.DataValue(StatusCode=bad)]
+    sent = message(read_request(TEMPERATURE, ua.NodeId(99999, 2)), request=5)
     asked, answered = decode(
-        ("in", message(read_request(TEMPERATURE, ua.NodeId(99999, 2)), request=5)),
+        ("in", sent),
         ("out", message(answer, request=5)),
     )
     assert asked == {
@@ -66,6 +69,7 @@ def test_a_read_and_its_answer_are_described() -> None:
             {"node_id": "ns=2;s=Temperature", "attribute": "Value"},
             {"node_id": "ns=2;i=99999", "attribute": "Value"},
         ],
+        "chunks": sent.hex(),
     }
     assert (answered["kind"], answered["direction"], answered["service_result"]) == ("Read", "out", "Good")
     assert (answered["request"], answered["state_changing"], answered["answers"]) == (False, False, asked["seq"])
@@ -101,7 +105,7 @@ def test_a_write_shows_the_type_and_what_else_was_written() -> None:
         True,
         True,
     )
-    assert answered["results"] == ["Good", "BadTypeMismatch"]
+    assert answered["results"] == [{"status": "Good"}, {"status": "BadTypeMismatch"}]
 
 
 def test_browse_and_call_are_described() -> None:
@@ -121,7 +125,7 @@ def test_browse_and_call_are_described() -> None:
         *(("in", message(browse)), ("out", message(browsed)), ("in", message(call)), ("out", message(called)))
     )
     assert entries[0]["nodes"] == ["ns=2;s=Actuators"]
-    assert (entries[1]["counts"], entries[1]["results"]) == ([2], ["Good"])
+    assert (entries[1]["counts"], entries[1]["results"]) == ([2], [{"status": "Good"}])
     assert entries[2]["methods"] == [
         {"object_id": "ns=2;i=1", "method_id": "ns=2;i=2", "arguments": [7, "x"], "types": ["Int32", "String"]}
     ]
@@ -164,7 +168,7 @@ def test_hello_acknowledge_error_and_an_opened_channel_are_entries() -> None:
     )
     assert [one["kind"] for one in entries] == ["Hello", "Acknowledge", "OpenSecureChannel", "Error"]
     assert entries[0]["endpoint_url"] == url.decode()
-    assert (entries[3]["status"], entries[3]["reason"]) == ("0x80820000", "bad")
+    assert (entries[3]["status"], entries[3]["reason"]) == ("BadTcpInternalError", "bad")
 
 
 def test_a_message_in_several_chunks_is_one_entry_and_an_aborted_one_is_none() -> None:
@@ -194,7 +198,7 @@ def test_a_signed_channel_is_said_to_be_sealed() -> None:
         (ua.Variant(2**64 - 1, ua.VariantType.UInt64), ("UInt64", 2**64 - 1)),
         (ua.Variant(float("nan"), ua.VariantType.Float), ("Float", "NaN")),
         (ua.Variant([1, -2, 3], ua.VariantType.Int16), ("Int16", [1, -2, 3])),
-        (ua.Variant([[1, 2], [3, 4]], ua.VariantType.Int32), ("Int32", [1, 2, 3, 4])),
+        (ua.Variant([[1, 2], [3, 4]], ua.VariantType.Int32), ("Int32", [[1, 2], [3, 4]])),
         (ua.Variant(None), ("Null", None)),
         (ua.Variant("grün"), ("String", "grün")),
         (ua.Variant(b"\x00\xff", ua.VariantType.ByteString), ("ByteString", "AP8=")),
@@ -271,3 +275,30 @@ def test_a_lie_about_a_length_costs_no_memory() -> None:
     nested = bytes([24]) * 1000
     with pytest.raises(MalformedError, match="nested too deeply"):
         BinaryReader(nested).variant()
+
+
+def test_an_entry_that_says_something_else_than_its_chunks_is_found() -> None:
+    write = ua.WriteRequest()
+    value = ua.DataValue(ua.Variant(25.0, ua.VariantType.Double))
+    write.Parameters.NodesToWrite = [ua.WriteValue(TEMPERATURE, ua.AttributeIds.Value, Value=value)]
+    fault = ua.ServiceFault()
+    fault.ResponseHeader.ServiceResult = ua.StatusCode(ua.StatusCodes.BadTypeMismatch)
+    asked, refused = decode(("in", message(write)), ("out", message(fault)))
+    assert (contradiction(asked), contradiction(refused)) == (None, None)
+    forged = {**asked, "nodes": [{**asked["nodes"][0], "value": 26.0}]}
+    assert "says nodes" in (contradiction(forged) or "")
+    read = {**asked, "kind": "Read", "state_changing": False, "nodes": [{"node_id": "i=1", "attribute": "Value"}]}
+    assert "says kind 'Read', its message says 'Write'" in (contradiction(read) or "")
+    assert "says service_result 'Good'" in (contradiction({**refused, "service_result": "Good"}) or "")
+    for chunks in ("zz", asked["chunks"][:-2], asked["chunks"] * 2):
+        assert contradiction({**asked, "chunks": chunks}) is not None
+
+
+def test_a_request_that_may_hold_a_password_keeps_no_bytes() -> None:
+    token = ua.UserNameIdentityToken(Password=b"secret")
+    request = ua.ActivateSessionRequest()
+    request.Parameters.UserIdentityToken = token
+    asked, answered = decode(("in", message(request)), ("out", message(ua.ActivateSessionResponse())))
+    assert (asked["kind"], answered["kind"]) == ("ActivateSession", "ActivateSession")
+    assert b"secret".hex() not in repr([asked, answered])
+    assert "chunks" not in {*asked, *answered}

@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.protocols.conversation import Direction
-from pytest_otmcp.protocols.framing import Framer
 from pytest_otmcp.protocols.s7 import oracle
-from pytest_otmcp.protocols.s7.decoder import S7Conversation, contradiction, tpkt_length
+from pytest_otmcp.protocols.s7.decoder import S7Conversation, contradiction
 from pytest_otmcp.protocols.s7.entries import as_s7, carried_out, describe, points
 from pytest_otmcp.protocols.s7.trace import facts
+from pytest_otmcp.wire.framing import Framer
+from pytest_otmcp.wire.s7 import tpkt_length
 
 from .journals import Entry, decoded
 

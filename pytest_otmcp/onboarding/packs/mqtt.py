@@ -11,9 +11,9 @@ from typing import Any
 from ...protocols.journal import JournalEntry
 from ...protocols.mqtt.commands import SCAN_RATE, is_sparkplug_command
 from ...protocols.mqtt.entries import as_mqtt, payload_of
-from ...protocols.mqtt.sparkplug_decoder import parse_topic
 from ...subject.answers import extract, read_answer
 from ...subject.model import OutputRule, placeholders
+from ...wire.mqtt.sparkplug import parse_topic
 from ..evidence import Sample, claims_success, find
 from ..experimenter import Experimenter
 from ..guess import Guess

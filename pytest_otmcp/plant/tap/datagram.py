@@ -40,11 +40,10 @@ class DatagramTap(MediumOwner):
     """
 
     def __init__(self, target_host: str, target_port: int, *, framing: Framing | None = None) -> None:
-        super().__init__()
+        super().__init__(framing)
         self.host = "127.0.0.1"
         self._target: _Address = (target_host, target_port)
         self._family: int = socket.AF_INET
-        self._framing = framing
         self._socket: socket.socket | None = None
         self._is_up = False
         self._clients: dict[_Address, _Client] = {}
@@ -145,7 +144,7 @@ class DatagramTap(MediumOwner):
             with contextlib.suppress(OSError):
                 self._bound().sendto(data, address)
 
-        return _Client(self._seen, self._medium, self._framing, self._family, self._target, answer)
+        return _Client(self._seen, self._medium, self._family, self._target, answer)
 
 
 class _Client:
@@ -159,14 +158,12 @@ class _Client:
         self,
         number: int,
         medium: Medium,
-        framing: Framing | None,
         family: int,
         target: _Address,
         answer: Callable[[bytes], None],
     ) -> None:
         self._number = number
         self._medium = medium
-        self._conversation = None if framing is None else framing.conversation()
         self.is_black_hole = False
         self._upstream = socket.socket(family, socket.SOCK_DGRAM)
         self._upstream.setblocking(False)
@@ -198,9 +195,8 @@ class _Client:
         self._upstream.close()
 
     def _note(self, direction: Direction, data: bytes, rule: FaultRule | None) -> None:
-        if self._conversation is not None:
-            fault = None if rule is None else rule.action.value
-            self._medium.journal.frame(self._number, direction, data, fault, self._conversation)
+        fault = None if rule is None else rule.action.value
+        self._medium.journal.frame(self._number, direction, data, fault)
 
     def _to_device(self, data: bytes) -> None:
         # A device that is not there is silent: the system's error that its port is unreachable is not handed on.

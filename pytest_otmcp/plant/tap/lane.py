@@ -8,8 +8,8 @@ import socket
 import struct
 from collections.abc import Callable
 
-from ...protocols.conversation import Conversation, Direction
-from ...protocols.framing import Framer
+from ...protocols.conversation import Direction
+from ...wire.framing import Framer
 from .faults import Action, FaultRule
 from .frame_queue import FrameQueue
 from .medium import Medium
@@ -41,7 +41,6 @@ class Lane:
         connection: int,
         direction: Direction,
         framer: Framer | None,
-        conversation: Conversation | None,
         *,
         reset: Callable[[], None],
         swallow: Callable[[], None],
@@ -51,7 +50,6 @@ class Lane:
         self._connection = connection
         self._direction = direction
         self._framer = framer
-        self._conversation = conversation
         self._reset = reset
         self._finished = finished
         self._source: asyncio.Transport | None = None
@@ -164,9 +162,9 @@ class Lane:
         self._queue.run()
 
     def _note(self, frame: bytes, rule: FaultRule | None) -> None:
-        if self._conversation is not None and self._framer is not None:
+        if self._framer is not None:
             fault = None if rule is None else rule.action.value
-            self._medium.journal.frame(self._connection, self._direction, frame, fault, self._conversation)
+            self._medium.journal.frame(self._connection, self._direction, frame, fault)
 
     def _check_stream(self) -> bytes:
         """Note when the stream can no longer be cut, and treat the rest as bytes; return what was not cut."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
+from ...protocols.protocol import Framing
+from ..journal import DeviceJournal
 from .faults import Action, FaultPlan
-from .journal import TapJournal
 
 __all__ = ["Medium", "MediumOwner"]
 
@@ -15,18 +16,23 @@ __all__ = ["Medium", "MediumOwner"]
 class Medium:
     """The journal and the fault plan of one tap; both may be replaced while connections are open."""
 
-    journal: TapJournal = field(default_factory=TapJournal)
+    journal: DeviceJournal
     plan: FaultPlan = field(default_factory=FaultPlan)
 
 
 class MediumOwner:
-    """A tap, as far as it is its medium; see :class:`~.tap.Tap`."""
+    """A tap, as far as it is its medium; see :class:`~.tap.Tap`.
 
-    def __init__(self) -> None:
-        self._medium = Medium()
+    Args:
+        framing: how to decode what passes.
+    """
+
+    def __init__(self, framing: Framing | None) -> None:
+        self._conversation = None if framing is None else framing.conversation
+        self._medium = Medium(DeviceJournal(self._conversation))
 
     @property
-    def journal(self) -> TapJournal:
+    def journal(self) -> DeviceJournal:
         """What passed, decoded."""
         return self._medium.journal
 
@@ -37,4 +43,4 @@ class MediumOwner:
 
     def begin_journal(self) -> None:
         """Begin an empty journal that counts from 0 again."""
-        self._medium.journal = TapJournal()
+        self._medium.journal = DeviceJournal(self._conversation)

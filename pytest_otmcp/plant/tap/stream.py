@@ -13,8 +13,8 @@ from collections.abc import Callable
 from ...core.errors import KitError
 from ...core.exhaustion import exhausted
 from ...protocols.conversation import Direction
-from ...protocols.framing import Framer
 from ...protocols.protocol import Framing
+from ...wire.framing import Framer
 from .faults import FaultPlan, FaultRule
 from .lane import Lane, reset_connection
 from .medium import Medium, MediumOwner
@@ -41,7 +41,7 @@ class StreamTap(MediumOwner):
     def __init__(self, target_host: str, target_port: int, *, framing: Framing | None = None) -> None:
         if framing is not None and framing.frame_length is None:
             raise KitError("a TCP connection cannot be recorded: the frames of its protocol are datagrams")
-        super().__init__()
+        super().__init__(framing)
         self.host = "127.0.0.1"
         self._target = (target_host, target_port)
         self._framing = framing
@@ -133,7 +133,6 @@ class _Link:
         self._forget = forget
         self._connecting: asyncio.Task[None] | None = None
         self._condemned = False
-        conversation = None if framing is None else framing.conversation()
         frame_length = None if framing is None else framing.frame_length
         self._lanes = [
             Lane(
@@ -141,7 +140,6 @@ class _Link:
                 number,
                 direction,
                 None if frame_length is None else Framer(frame_length),
-                conversation,
                 reset=self.reset,
                 swallow=self._swallow,
                 finished=self._finished,

@@ -12,9 +12,9 @@ from typing import Protocol
 from ...core.errors import KitError
 from ...protocols.protocol import Framing
 from ..endpoint import Endpoint
+from ..journal import DeviceJournal
 from .datagram import DatagramTap
 from .faults import Action, FaultRule
-from .journal import TapJournal
 from .stream import StreamTap
 
 __all__ = ["Tap", "new_tap"]
@@ -34,7 +34,7 @@ class Tap(Protocol):
         ...
 
     @property
-    def journal(self) -> TapJournal:
+    def journal(self) -> DeviceJournal:
         """What passed, decoded."""
         ...
 

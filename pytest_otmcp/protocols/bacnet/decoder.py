@@ -1,33 +1,36 @@
-"""Decoder of BACnet/IP for recorded datagrams, written from the standard's description alone.
+"""Decoder of BACnet/IP for recorded datagrams; :mod:`pytest_otmcp.wire.bacnet` says what their bytes mean.
 
-ASHRAE 135: annex J (virtual link), clause 6.2 (network layer), 20.1 (APDUs), 15 and 16 (services). Requests are described as far as
-they can be read, also those that the device refuses.
+Requests are described as far as they can be read, also those that the device refuses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+import contextlib
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ...wire.bacnet.frames import Apdu, LinkMessage, NetworkMessage, PduType, frame_of, head_of
+from ...wire.bacnet.services import (
+    STATE_CHANGING,
+    STATE_CHANGING_UNCONFIRMED,
+    Rejected,
+    Unconfirmed,
+    answer_fields,
+    asked_of,
+    who_has,
+    who_is,
+)
+from ...wire.bacnet.values import Tags, value_of
+from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
 from ..journal import JournalEntry
 from ..reread import difference
-from .tags import NotTagged, Reader
 
-__all__ = ["ANSWERS", "CHANGING", "CHANGING_UNCONFIRMED", "BacnetConversation", "contradiction"]
+__all__ = ["ANSWERS", "BacnetConversation", "contradiction"]
 
-READ, READ_MULTIPLE, WRITE, WRITE_MULTIPLE = 12, 14, 15, 16
-I_AM, I_HAVE, WHO_HAS, WHO_IS = 0, 1, 7, 8
-CHANGING = frozenset({0, 7, 8, 9, 10, 11, 15, 16, 17, 20, 27})
-"""Confirmed services that may change the device. Reads and subscriptions, which only a client's own list of notifications has, may not."""
-CHANGING_UNCONFIRMED = frozenset({6, 9, 10, 12})
-"""Time synchronization, UTC time synchronization, write group, you-are."""
-
-_CARRIES = {0x04: 10, 0x0A: 4, 0x0B: 4}
-"""Functions of the virtual link that carry a network message: forwarded, unicast, broadcast; and where that begins."""
 _LINK_REQUESTS, _LINK_CHANGES = frozenset({1, 2, 5, 6, 8, 9}), frozenset({1, 8})
-_CONFIRMED, _UNCONFIRMED, _SIMPLE_ACK, _COMPLEX_ACK, _SEGMENT_ACK, _ERROR, _REJECT, _ABORT = range(8)
+_ANSWERING = (PduType.SIMPLE_ACK, PduType.COMPLEX_ACK, PduType.ERROR, PduType.REJECT, PduType.ABORT)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,10 +42,6 @@ class _Decoded:
     request: bool = False
     state_changing: bool = False
     key: Hashable = None
-
-
-class _Malformed(Exception):
-    pass
 
 
 class BacnetConversation:
@@ -95,177 +94,76 @@ def contradiction(entry: JournalEntry) -> str | None:
 
 def _decoded(direction: Direction, datagram: bytes) -> _Decoded:
     try:
-        return _link(direction, datagram)
-    except (_Malformed, IndexError, NotTagged):
-        return _Decoded(kind="malformed")
+        apdu = head_of(frame_of(datagram, answer=direction == "out").apdu)
+        if apdu.kind == PduType.UNCONFIRMED_REQUEST:
+            return _unconfirmed(direction, int(apdu.service or 0), apdu.data)
+        return _confirmed(apdu) if direction == "in" else _answer(apdu)
+    except LinkMessage as message:
+        return _link(direction, message.function)
+    except NetworkMessage as message:
+        return _Decoded(kind="network-message", fields={"message": message.message})
+    except MalformedError as error:
+        return _Decoded(kind="malformed", fields={"reason": str(error)})
 
 
-def _link(direction: Direction, datagram: bytes) -> _Decoded:
-    if len(datagram) < 4 or datagram[0] != 0x81 or int.from_bytes(datagram[2:4]) != len(datagram):
-        raise _Malformed
-    function = datagram[1]
-    if function not in _CARRIES:
-        asks = direction == "in" and function in _LINK_REQUESTS
-        return _Decoded(
-            kind="bvlc",
-            fields={"function": function},
-            request=asks,
-            state_changing=asks and function in _LINK_CHANGES,
-            key="bvlc" if asks or function == 0 else None,
-        )
-    return _network(direction, datagram[_CARRIES[function] :])
-
-
-def _network(direction: Direction, npdu: bytes) -> _Decoded:
-    if npdu[0] != 1:
-        raise _Malformed
-    control, position, elsewhere = npdu[1], 2, False
-    if control & 0x20:
-        elsewhere = npdu[position : position + 2] != b"\xff\xff"
-        position += 3 + npdu[position + 2]
-    if control & 0x08:
-        position += 3 + npdu[position + 2]
-    if control & 0x20:
-        position += 1
-    if control & 0x80:
-        return _Decoded(kind="network-message", fields={"message": npdu[position] if len(npdu) > position else None})
-    if elsewhere and direction == "in":
-        return _Decoded(kind="network-message", fields={"message": None})
-    return _apdu(direction, npdu[position:])
-
-
-def _apdu(direction: Direction, apdu: bytes) -> _Decoded:
-    kind = apdu[0] >> 4
-    if kind == _UNCONFIRMED:
-        return _unconfirmed(direction, apdu[1], apdu[2:])
-    if kind == _CONFIRMED:
-        is_segmented = bool(apdu[0] & 0x08)
-        at = 5 if is_segmented else 3
-        service, invoke_id = apdu[at], apdu[2]
-        fields: dict[str, Any] = {"pdu_type": kind, "service": service, "invoke_id": invoke_id}
-        if direction == "out":
-            return _Decoded(kind="message", fields=fields)
-        return _Decoded(
-            kind="request",
-            fields=fields if is_segmented else {**fields, **_asked(service, apdu[at + 1 :])},
-            request=True,
-            state_changing=service in CHANGING,
-            key=invoke_id,
-        )
-    fields = {"pdu_type": kind, "invoke_id": apdu[1]}
-    if kind in (_SIMPLE_ACK, _COMPLEX_ACK, _ERROR):
-        at = 4 if kind == _COMPLEX_ACK and apdu[0] & 0x08 else 2
-        fields["service"] = apdu[at]
-        if direction == "out":
-            fields |= _answered(kind, apdu[at], apdu[at + 1 :], is_part=at == 4)
-    if direction == "in":
-        return _Decoded(kind="message", fields=fields)
-    if kind in (_REJECT, _ABORT):
-        fields["reject" if kind == _REJECT else "abort"] = apdu[2]
-    is_answer = kind in (_SIMPLE_ACK, _COMPLEX_ACK, _ERROR, _REJECT, _ABORT)
-    return _Decoded(kind="response" if is_answer else "message", fields=fields, key=apdu[1] if is_answer else None)
-
-
-def _unconfirmed(direction: Direction, service: int, data: bytes) -> _Decoded:
-    fields: dict[str, Any] = {"pdu_type": _UNCONFIRMED, "service": service}
-    reader = Reader(data)
-    if direction == "out":
-        if service in (I_AM, I_HAVE):
-            shown = reader.value()
-            (_, instance) = shown["value"] if isinstance(shown["value"], list) else (None, None)
-            key = "who-is" if service == I_AM else "who-has"
-            return _Decoded(kind="response", fields={**fields, "device": instance}, key=key)
-        return _Decoded(kind="message", fields=fields)
-    changes = service in CHANGING_UNCONFIRMED
-    if service == WHO_IS:
-        if not reader.done:
-            fields |= _bounds(reader)
-            if not reader.done:
-                raise _Malformed
-        return _Decoded(kind="request", fields=fields, request=True, key="who-is")
-    if service == WHO_HAS:
-        if reader.sees("context", 0):
-            fields |= _bounds(reader)
-        fields |= {"object": reader.identifier(2)} if reader.sees("context", 2) else {"name": reader.text(3)}
-        return _Decoded(kind="request", fields=fields, request=True, key="who-has")
+def _link(direction: Direction, function: int) -> _Decoded:
+    asks = direction == "in" and function in _LINK_REQUESTS
     return _Decoded(
-        kind="request" if changes else "message", fields=fields, request=changes, state_changing=changes, key="other"
+        kind="bvlc",
+        fields={"function": function},
+        request=asks,
+        state_changing=asks and function in _LINK_CHANGES,
+        key="bvlc" if asks or function == 0 else None,
     )
 
 
-def _bounds(reader: Reader) -> dict[str, int]:
-    return {"low": reader.unsigned(0), "high": reader.unsigned(1)}
+def _head(apdu: Apdu) -> dict[str, Any]:
+    named = {} if apdu.service is None else {"service": apdu.service}
+    return {"pdu_type": apdu.kind, **named, "invoke_id": apdu.invoke_id}
 
 
-def _reference(reader: Reader, target: list[int], first: int) -> dict[str, Any]:
-    found: dict[str, Any] = {"object": target, "property": reader.unsigned(first)}
-    if reader.sees("context", first + 1):
-        found["index"] = reader.unsigned(first + 1)
-    return found
+def _confirmed(apdu: Apdu) -> _Decoded:
+    if apdu.kind != PduType.CONFIRMED_REQUEST:
+        return _Decoded(kind="message", fields=_head(apdu))
+    asked: dict[str, Any] = {}
+    service = int(apdu.service or 0)
+    if not apdu.is_segmented:
+        # What cannot be read is not described.
+        with contextlib.suppress(Rejected):
+            asked = asked_of(service, apdu.data).shown()
+    return _Decoded(
+        kind="request",
+        fields={**_head(apdu), **asked},
+        request=True,
+        state_changing=service in STATE_CHANGING,
+        key=apdu.invoke_id,
+    )
 
 
-def _asked(service: int, data: bytes) -> dict[str, Any]:
-    """Return what a request reads or writes; nothing of one that cannot be read."""
-    reader = Reader(data)
-    try:
-        if service == READ:
-            return {"reads": [_reference(reader, reader.identifier(0), 1)]}
-        if service == READ_MULTIPLE:
-            return {"reads": _several(reader, _reference)}
-        if service == WRITE:
-            return {"writes": [_written(reader, reader.identifier(0), 1)]}
-        if service == WRITE_MULTIPLE:
-            return {"writes": _several(reader, _written)}
-    except NotTagged:
-        pass
-    return {}
+def _answer(apdu: Apdu) -> _Decoded:
+    if apdu.kind not in _ANSWERING:
+        return _Decoded(kind="message", fields=_head(apdu))
+    said = answer_fields(apdu)
+    if apdu.kind in (PduType.REJECT, PduType.ABORT):
+        if not apdu.data:
+            raise MalformedError("it ends before its reason")
+        said = {"reject" if apdu.kind == PduType.REJECT else "abort": apdu.data[0]}
+    return _Decoded(kind="response", fields={**_head(apdu), **said}, key=apdu.invoke_id)
 
 
-def _written(reader: Reader, target: list[int], first: int) -> dict[str, Any]:
-    written = _reference(reader, target, first)
-    written["values"] = reader.values(first + 2)
-    if reader.sees("context", first + 3):
-        written["priority"] = reader.unsigned(first + 3)
-    return written
-
-
-def _several(reader: Reader, one: Callable[[Reader, list[int], int], dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return what a request asks for at the properties of several objects."""
-    found = []
-    while not reader.done:
-        target = reader.identifier(0)
-        reader.passes("open", 1)
-        while reader.sees("context", 0):
-            found.append(one(reader, target, 0))
-        reader.passes("close", 1)
-    if not found:
-        raise NotTagged
-    return found
-
-
-def _answered(kind: int, service: int, data: bytes, *, is_part: bool) -> dict[str, Any]:
-    reader = Reader(data)
-    if kind == _ERROR and service == WRITE_MULTIPLE:
-        return {"error": [one["value"] for one in reader.values(0)]}
-    if kind == _ERROR:
-        return {"error": [reader.value()["value"], reader.value()["value"]]}
-    if kind != _COMPLEX_ACK or is_part:
-        return {}
-    if service == READ:
-        found = _reference(reader, reader.identifier(0), 1)
-        return {"results": [{**found, "values": reader.values(3, constructed=True)}]}
-    if service != READ_MULTIPLE:
-        return {}
-    results = []
-    while not reader.done:
-        target = reader.identifier(0)
-        reader.passes("open", 1)
-        while not reader.sees("close", 1):
-            found = _reference(reader, target, 2)
-            if reader.sees("open", 5):
-                found["error"] = [one["value"] for one in reader.values(5)]
-            else:
-                found["values"] = reader.values(4, constructed=True)
-            results.append(found)
-        reader.passes("close", 1)
-    return {"results": results}
+def _unconfirmed(direction: Direction, service: int, data: bytes) -> _Decoded:
+    fields: dict[str, Any] = {"pdu_type": int(PduType.UNCONFIRMED_REQUEST), "service": service}
+    if direction == "out":
+        if service not in (Unconfirmed.I_AM, Unconfirmed.I_HAVE):
+            return _Decoded(kind="message", fields=fields)
+        _, device = value_of("object-identifier", Tags(data).next().content).value
+        key = "who-is" if service == Unconfirmed.I_AM else "who-has"
+        return _Decoded(kind="response", fields={**fields, "device": device}, key=key)
+    if service == Unconfirmed.WHO_IS:
+        return _Decoded(kind="request", fields={**fields, **who_is(data)}, request=True, key="who-is")
+    if service == Unconfirmed.WHO_HAS:
+        return _Decoded(kind="request", fields={**fields, **who_has(data)}, request=True, key="who-has")
+    changes = service in STATE_CHANGING_UNCONFIRMED
+    return _Decoded(
+        kind="request" if changes else "message", fields=fields, request=changes, state_changing=changes, key="other"
+    )

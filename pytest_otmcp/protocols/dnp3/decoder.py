@@ -1,7 +1,6 @@
-"""Decoder of DNP3 for recorded bytes: application fragments in transport segments in link frames (IEEE 1815).
+"""Decoder of DNP3 for recorded link frames; :mod:`pytest_otmcp.wire.dnp3` says what their bytes mean.
 
-Requests are described as far as their bytes go, also those that the outstation refuses. Confirmations and the acknowledgements of the
-link layer ask the plant for nothing; a request for the status of the link does.
+Confirmations and the acknowledgements of the link layer ask the plant for nothing; a request for the status of the link does.
 """
 
 from __future__ import annotations
@@ -9,30 +8,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ...wire.dnp3.application import (
+    BROADCASTS,
+    CONFIRM,
+    DIRECT_OPERATE_NR,
+    UNSOLICITED_RESPONSE,
+    Request,
+    response_fields,
+)
+from ...wire.dnp3.link import CONFIRMED_USER_DATA, REQUEST_LINK_STATUS, UNCONFIRMED_USER_DATA, LinkFrame, Reassembly
+from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
-from ..framing import MalformedError
 from ..journal import JournalEntry
 from ..reread import difference
-from .wire import LinkHeader, Segments, objects_of, unpack_frame
 
 __all__ = ["ANSWERS", "Dnp3Conversation", "contradiction"]
 
 ANSWERS = frozenset({("response", "request"), ("unsolicited", "request"), ("link_answer", "link_request")})
 """Kinds of entries of which the first can answer the second; a faulty device calls an answer unsolicited."""
 
-CONFIRM, READ, WRITE, SELECT, OPERATE, DIRECT_OPERATE, DIRECT_OPERATE_NR = range(7)
-RESPONSE, UNSOLICITED_RESPONSE = 129, 130
-
-READS = frozenset({READ})
-HOUSEKEEPING = frozenset({20, 21, 23, 24})
-"""Functions that masters use for the session: enabling and disabling unsolicited responses, measuring the delay, recording the time.
-Beside them, a WRITE that clears the restart bit (g80v1, index 7) or sets the clock (g50) is housekeeping. Every other function may change
-the plant: writing, selecting and operating, freezing, restarts, applications, configuration, classes, files."""
-
-_WITH_OBJECTS = frozenset({WRITE, SELECT, OPERATE, DIRECT_OPERATE, DIRECT_OPERATE_NR, RESPONSE, UNSOLICITED_RESPONSE})
-_USER_DATA = frozenset({3, 4})
-_REQUEST_LINK_STATUS = 9
-_BROADCASTS = range(0xFFFD, 0x10000)
 _KEPT = 300
 
 
@@ -40,32 +34,29 @@ class Dnp3Conversation:
     """One connection. Responses repeat the application sequence numbers of their requests."""
 
     def __init__(self) -> None:
-        self._segments: Mapping[Direction, Segments] = {"in": Segments(), "out": Segments()}
+        self._segments: Mapping[Direction, Reassembly] = {"in": Reassembly(), "out": Reassembly()}
         self._outstanding = Outstanding()
 
     def decode(self, direction: Direction, frame: bytes) -> list[Message]:
         """Decode one link frame, see :class:`~pytest_otmcp.protocols.conversation.Conversation`; kinds are ``request``, ``confirm``,
         ``response``, ``unsolicited``, ``link_request`` and ``link_answer``."""
-        unpacked = unpack_frame(frame)
-        if unpacked is None:
-            return [_malformed(direction, frame, "a check sum of the link frame is wrong")]
-        header, data = unpacked
-        if header.from_master != (direction == "in"):
-            return [_malformed(direction, frame, "the direction bit is that of the other side")]
-        if not header.primary or header.function not in _USER_DATA:
-            return [self._link(direction, header)]
         try:
-            fragment = self._segments[direction].add(data)
-            return [] if fragment is None else [self._fragment(direction, header, fragment)]
+            link = LinkFrame.parse(frame)
+            if link.from_master != (direction == "in"):
+                raise MalformedError("link: the direction bit is that of the other side")
+            if not link.primary or link.function not in (UNCONFIRMED_USER_DATA, CONFIRMED_USER_DATA):
+                return [self._link(direction, link)]
+            fragment = self._segments[direction].take(link.data)
+            return [] if fragment is None else [self._fragment(direction, link, fragment)]
         except MalformedError as error:
             return [_malformed(direction, frame, str(error))]
 
-    def _link(self, direction: Direction, header: LinkHeader) -> Message:
+    def _link(self, direction: Direction, header: LinkFrame) -> Message:
         fields: dict[str, object] = {"link_function": header.function}
         if not header.primary:
             answered = self._outstanding.take("link") if direction == "out" else None
             return Message(direction=direction, kind="link_answer", fields=fields, answers=answered)
-        status = direction == "in" and header.function == _REQUEST_LINK_STATUS
+        status = direction == "in" and header.function == REQUEST_LINK_STATUS
         message = Message(
             direction=direction,
             kind="link_request",
@@ -76,7 +67,7 @@ class Dnp3Conversation:
             self._outstanding.add("link", message)
         return message
 
-    def _fragment(self, direction: Direction, header: LinkHeader, fragment: bytes) -> Message:
+    def _fragment(self, direction: Direction, header: LinkFrame, fragment: bytes) -> Message:
         shown = _shown(direction, fragment)
         kind, request, changing = (shown.pop(name) for name in ("kind", "request", "state_changing"))
         if direction == "out":
@@ -89,7 +80,7 @@ class Dnp3Conversation:
             request=request,
             state_changing=changing,
         )
-        if request and header.destination not in _BROADCASTS and shown["function"] != DIRECT_OPERATE_NR:
+        if request and header.destination not in BROADCASTS and shown["function"] != DIRECT_OPERATE_NR:
             self._outstanding.add(shown["sequence"], message)
         return message
 
@@ -104,41 +95,14 @@ def _shown(direction: Direction, fragment: bytes) -> dict[str, Any]:
     Raises:
         MalformedError: it is none of this direction.
     """
-    head = 2 if direction == "in" else 4
-    if len(fragment) < head:
-        raise MalformedError("an application fragment without its header")
-    control, function = fragment[0], fragment[1]
-    if control & 0xC0 != 0xC0:
-        raise MalformedError("an application fragment that is a part of a message")
-    if (function in (RESPONSE, UNSOLICITED_RESPONSE)) != (direction == "out") or function > UNSOLICITED_RESPONSE:
-        raise MalformedError(f"the function {function} in this direction")
-    shown: dict[str, Any] = {"function": function, "sequence": control & 0x0F}
-    if function == CONFIRM:
-        unsolicited = {"unsolicited": bool(control & 0x10)}
-        return {**shown, **unsolicited, "kind": "confirm", "request": False, "state_changing": False}
-    objects: list[dict[str, Any]] = []
-    try:
-        objects = objects_of(fragment[head:], with_objects=function in _WITH_OBJECTS)
-    except MalformedError as error:
-        shown["problem"] = str(error)
-    shown["objects"] = objects
     if direction == "out":
-        kind = "unsolicited" if function == UNSOLICITED_RESPONSE else "response"
-        shown |= {"iin": int.from_bytes(fragment[2:4], "little"), "confirm": bool(control & 0x20)}
-        shown.pop("problem", None)
+        shown = response_fields(fragment)
+        kind = "unsolicited" if shown["function"] == UNSOLICITED_RESPONSE else "response"
         return {**shown, "kind": kind, "request": False, "state_changing": False}
-    keeping = function in READS | HOUSEKEEPING or (function == WRITE and _is_housekeeping(objects))
-    return {**shown, "kind": "request", "request": True, "state_changing": not keeping}
-
-
-def _is_housekeeping(objects: list[dict[str, Any]]) -> bool:
-    return bool(objects) and all(
-        header["group"] == 50
-        or (
-            (header["group"], header["variation"]) == (80, 1) and header.get("points") == [{"index": 7, "value": False}]
-        )
-        for header in objects
-    )
+    request = Request.parse(fragment)
+    asks = request.function != CONFIRM
+    kind = "request" if asks else "confirm"
+    return {**request.described(), "kind": kind, "request": asks, "state_changing": request.state_changing}
 
 
 def contradiction(entry: JournalEntry) -> str | None:

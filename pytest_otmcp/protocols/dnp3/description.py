@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from ...wire.dnp3.link import link_length
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
 from .decoder import ANSWERS, Dnp3Conversation, contradiction
@@ -13,7 +14,6 @@ from .operations import OPERATIONS
 from .oracle import no_state_changing_request
 from .proof import PROOF
 from .trace import facts
-from .wire import link_length
 
 __all__ = ["PROTOCOL"]
 

@@ -1,7 +1,6 @@
-"""Decoder of EtherNet/IP for recorded bytes: encapsulation, sessions, CIP connections.
+"""Decoder of EtherNet/IP for recorded frames; :mod:`pytest_otmcp.wire.ethernetip` says what their bytes mean.
 
-ODVA's volume 2, chapter 2 (encapsulation, common packet format) and volume 1, 3-5 (forward open), as the public developer guide has
-them. Registering a session, and opening and closing connections for messages, ask the plant for nothing.
+Registering a session, and opening and closing connections for messages, ask the plant for nothing.
 """
 
 from __future__ import annotations
@@ -10,37 +9,21 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
+from ...wire.ethernetip.asked import asked_for, content_of
+from ...wire.ethernetip.describe import described_reply
+from ...wire.ethernetip.frames import LIST_IDENTITY, NOP, REGISTER, SEND_RR_DATA, SEND_UNIT_DATA, UNREGISTER, Frame
+from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
-from ..framing import MalformedError
 from ..journal import JournalEntry
 from ..reread import difference
-from .message import asked_of, results_of, unwrapped
 
-__all__ = ["ANSWERS", "EthernetIpConversation", "contradiction", "frame_length"]
+__all__ = ["ANSWERS", "EthernetIpConversation", "contradiction"]
 
-NOP, LIST_IDENTITY, REGISTER, UNREGISTER, UNCONNECTED, CONNECTED = 0x00, 0x63, 0x65, 0x66, 0x6F, 0x70
-
-_HEADER = struct.Struct("<HHII8sI")
-_LONGEST = 0x1FFF
 _KEPT = 300
 _SESSION = ("forward_open", "forward_close")
 ANSWERS = {"request": "response", "register": "register_response", "list": "list_response"} | {
     kind: f"{kind}_response" for kind in _SESSION
 }
-
-
-def frame_length(buffer: bytes | bytearray) -> int | None:
-    """Return the length of the frame at the beginning of the buffer.
-
-    Raises:
-        MalformedError: it is longer than any message of a Logix controller.
-    """
-    if len(buffer) < 4:
-        return None
-    length = int.from_bytes(buffer[2:4], "little")
-    if length > _LONGEST:
-        raise MalformedError(f"the length of the encapsulation is {length}, it must be {_LONGEST} or less")
-    return _HEADER.size + length
 
 
 class EthernetIpConversation:
@@ -54,19 +37,17 @@ class EthernetIpConversation:
     def decode(self, direction: Direction, frame: bytes) -> list[Message]:
         """Decode one frame, see :class:`~pytest_otmcp.protocols.conversation.Conversation`; kinds are ``register``, ``unregister``,
         ``list``, ``forward_open``, ``forward_close``, ``request``, the first of them and the last three with ``…response``."""
-        command, _, _, status, context, options = _HEADER.unpack_from(frame)
-        if options or (direction == "in" and status):
-            reason = f"status {status:X} and options {options:X} in its header"
-            return [_malformed(direction, frame, reason)]
-        if command == NOP:
-            return []
-        if command == UNREGISTER:
-            return [Message(direction=direction, kind="unregister", fields={"frame": frame.hex()})]
         try:
-            kind, fields = _fields(direction, frame)
-        except (struct.error, IndexError, ValueError):
-            return [_malformed(direction, frame, "no packet that carries a message")]
-        by_context = (command, context)
+            read = Frame.parse(frame, answer=direction == "out")
+            if read.command == NOP:
+                return []
+            if read.command == UNREGISTER:
+                return [Message(direction=direction, kind="unregister", fields={"frame": frame.hex()})]
+            kind, fields = _fields(direction, read)
+        except (MalformedError, IndexError) as error:
+            told = {"bytes": frame[:_KEPT].hex(), "reason": str(error)}
+            return [Message(direction=direction, kind="malformed", fields=told)]
+        by_context = (read.command, read.context)
         if direction == "out":
             return [self._answer(kind, {**fields, "frame": frame.hex()}, by_context)]
         message = Message(
@@ -96,68 +77,27 @@ class EthernetIpConversation:
         return Message(direction="out", kind=kind, fields=fields, answers=asked)
 
 
-def _malformed(direction: Direction, frame: bytes, reason: str) -> Message:
-    return Message(direction=direction, kind="malformed", fields={"bytes": frame[:_KEPT].hex(), "reason": reason})
-
-
-def _fields(direction: Direction, frame: bytes) -> tuple[str, dict[str, Any]]:
+def _fields(direction: Direction, frame: Frame) -> tuple[str, dict[str, Any]]:
     """Return the kind of a message, and what it says. An answer's kind is ``response``, whatever it answers.
 
     Raises:
-        struct.error, IndexError, ValueError: it carries none.
+        MalformedError, IndexError: it carries none.
     """
-    command, _, _, status, _, _ = _HEADER.unpack_from(frame)
+    with_packet = frame.command in (SEND_RR_DATA, SEND_UNIT_DATA)
     if direction == "out":
-        failed = {"encapsulation": status} if status else {}
-        if command not in (UNCONNECTED, CONNECTED) or status:
-            return "response", failed
-        sequenced, message = _packet(command, frame[_HEADER.size :])
-        return "response", {**sequenced, **results_of(message)}
-    if command in (UNCONNECTED, CONNECTED):
-        return _request(command, frame[_HEADER.size :])
-    if command == REGISTER:
+        if not with_packet or frame.status:
+            return "response", {"encapsulation": frame.status} if frame.status else {}
+        numbers, message = content_of(frame)
+        return "response", {**numbers, **described_reply(message)}
+    if with_packet:
+        asked = asked_for(frame)
+        return asked.kind, dict(asked.fields)
+    if frame.command == REGISTER:
         return "register", {"service": "register", "items": [{"asks": "register"}]}
-    if command == LIST_IDENTITY:
+    if frame.command == LIST_IDENTITY:
         asks = "list_identity"
         return "request", {"service": asks, "items": [{"asks": asks}], "state_changing": False}
-    return "list", {"command": command}
-
-
-def _request(command: int, data: bytes) -> tuple[str, dict[str, Any]]:
-    sequenced, message = _packet(command, data)
-    inner = unwrapped(message) if command == UNCONNECTED else None
-    if inner is not None:
-        return "request", {**asked_of(inner[0]), "route": inner[1].hex()}
-    asked = asked_of(message)
-    opening = command == UNCONNECTED and asked["service"] in _SESSION and not asked["state_changing"]
-    return (asked["service"] if opening else "request"), {**asked, **sequenced}
-
-
-def _packet(command: int, data: bytes) -> tuple[dict[str, int], bytes]:
-    """Return sequence count and connection id of a packet, if it has them, and the message that it carries.
-
-    Raises:
-        struct.error, ValueError: it carries none.
-    """
-    items = []
-    (interface, _, count), rest = struct.unpack_from("<IHH", data), data[8:]
-    for _ in range(count):
-        kind, length = struct.unpack_from("<HH", rest)
-        if len(rest) < 4 + length:
-            raise ValueError
-        items.append((kind, rest[4 : 4 + length]))
-        rest = rest[4 + length :]
-    if interface or rest or len(items) < 2:
-        raise ValueError
-    (address_kind, address), (data_kind, content) = items[:2]
-    if command == UNCONNECTED:
-        if (address_kind, address, data_kind) != (0, b"", 0xB2) or len(content) < 2:
-            raise ValueError
-        return {}, content
-    if (address_kind, len(address), data_kind) != (0xA1, 4, 0xB1) or len(content) < 4:
-        raise ValueError
-    numbers = {"sequence": int.from_bytes(content[:2], "little"), "connection_id": int.from_bytes(address, "little")}
-    return numbers, content[2:]
+    return "list", {"command": frame.command}
 
 
 def contradiction(entry: JournalEntry) -> str | None:
@@ -173,7 +113,7 @@ def contradiction(entry: JournalEntry) -> str | None:
         raw = bytes.fromhex(members["frame"])
         if incoming and raw[0] == UNREGISTER:
             return difference(members, {"kind": "unregister", "request": False, "state_changing": False}, "frame")
-        kind, shown = _fields(entry["direction"], raw)
+        kind, shown = _fields(entry["direction"], Frame.parse(raw, answer=not incoming))
     except (KeyError, TypeError, ValueError, IndexError, struct.error):
         return f"has no frame but {members.get('frame')!r}"
     if incoming:

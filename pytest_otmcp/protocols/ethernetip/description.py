@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 
+from ...wire.ethernetip.frames import frame_length
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ANSWERS, EthernetIpConversation, contradiction, frame_length
+from .decoder import ANSWERS, EthernetIpConversation, contradiction
 from .entries import carried_out, changes, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS

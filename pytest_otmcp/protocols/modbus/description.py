@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 
+from ...wire.modbus import mbap_length
 from ..protocol import Colour, Composite, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ModbusConversation, contradiction, mbap_length
+from .decoder import ModbusConversation, contradiction
 from .entries import carried_out, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS

@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from ...core.strict_json import same_json
+from ...wire.mqtt.sparkplug import decode_message, parse_topic
 from ..journal import JournalEntry
 from ..protocol import Declared
 from .entries import as_mqtt, payload_of
 from .filters import covers
-from .sparkplug_decoder import decode_message, parse_topic
 
 __all__ = [
     "COMMAND_TOPICS",

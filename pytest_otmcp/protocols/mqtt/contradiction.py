@@ -15,10 +15,10 @@ import binascii
 from collections.abc import Mapping
 from typing import Any
 
+from ...wire.mqtt.sparkplug import DATA_TYPES, decode_message
 from ..journal import JournalEntry
 from ..reread import difference
 from .decoder import ANSWERS, KINDS, REQUESTS
-from .sparkplug_decoder import DATA_TYPES, decode_message
 
 __all__ = ["contradiction", "is_answer"]
 

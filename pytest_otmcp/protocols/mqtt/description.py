@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 
+from ...wire.mqtt.primitives import packet_length
 from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
 from ..session_oracle import Exchanges
 from .commands import COMMAND_TOPICS, declares
 from .contradiction import contradiction, is_answer
-from .decoder import MqttConversation, packet_length
+from .decoder import MqttConversation
 from .entries import delivered_again, describe, messages
 from .exercise import EXERCISE
 from .external import EXTERNAL

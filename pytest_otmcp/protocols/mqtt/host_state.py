@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ...core.finding import Finding
+from ...wire.mqtt.sparkplug import NAMESPACE
 from ..journal import Entries, JournalEntry
 from ..session_oracle import SessionOracle
 from .entries import MqttEntry, adapter_packets, payload_of
 from .filters import covers
-from .sparkplug_decoder import NAMESPACE
 
 __all__ = ["HostState", "state_births"]
 

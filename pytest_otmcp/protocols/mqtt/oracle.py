@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from ...core.finding import Finding
+from ...wire.mqtt.sparkplug import NAMESPACE, parse_topic
 from ..journal import Entries, JournalEntry
 from ..oracle import Witness, requests
 from ..protocol import Declared
@@ -19,7 +20,6 @@ from .commands import asks_for_births, commands, is_sparkplug_command
 from .entries import FirstPackets, MqttEntry, adapter_packets, delivered_again, describe, payload_of, shown
 from .entries import messages as published
 from .host_state import HostState, state_births
-from .sparkplug_decoder import NAMESPACE, parse_topic
 from .sparkplug_oracle import Births, SparkplugSequence, broken_rule, commanded_once, ddata_metric, reported
 
 __all__ = [

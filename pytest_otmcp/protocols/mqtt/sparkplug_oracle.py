@@ -14,13 +14,21 @@ from typing import Any, Literal
 
 from ...core.finding import Finding
 from ...core.strict_json import same_json
+from ...wire.mqtt.sparkplug import (
+    DATA_TYPES,
+    NAMESPACE,
+    Topic,
+    decode_message,
+    decode_payload,
+    parse_topic,
+    payload_times,
+)
 from ..journal import Entries, JournalEntry
 from ..session_oracle import SessionOracle
 from ..stamp import Stamp
 from .commands import REBIRTH as _REBIRTH
 from .commands import commands
 from .entries import MqttEntry, adapter_packets, as_mqtt, payload_of, shown
-from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic, payload_times
 
 __all__ = [
     "Births",

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from ...core.error_registry import wire_codes
-from ..framing import MalformedError
+from ...wire.framing import MalformedError
+from .status_codes import SYMBOLS
 
 __all__ = ["BinaryReader", "symbol"]
 
@@ -33,12 +33,7 @@ _NUMBERS = {2: "b", 3: "B", 4: "h", 5: "H", 6: "i", 7: "I", 8: "q", 9: "Q", 10: 
 
 def symbol(status: int) -> str:
     """Return the symbol of a status code by its upper 16 bits (the lower ones are information); hexadecimal when unknown."""
-    if status & 0xFFFF0000 == 0:
-        return "Good"
-    for entry in wire_codes(__package__).values():
-        if entry.value == status & 0xFFFF0000:
-            return entry.name
-    return f"0x{status:08X}"
+    return SYMBOLS.get(status >> 16, f"0x{status:08X}")
 
 
 class BinaryReader:
@@ -184,7 +179,7 @@ class BinaryReader:
         }
 
     def variant(self) -> tuple[str, Any]:
-        """Read a Variant (section 5.2.2.16): the name of its type, and its value; a matrix stays a flat list."""
+        """Read a Variant (section 5.2.2.16): the name of its type, and its value; a matrix is a list of lists."""
         mask = self.unpack("B")
         number = mask & 0x3F
         if number >= len(VARIANT_TYPES):
@@ -192,7 +187,7 @@ class BinaryReader:
         if mask & 0x80:
             value = self.array(lambda: self._nested(lambda: self._scalar(number)))
             if mask & 0x40:
-                self.array(lambda: self.unpack("i"))
+                value = _shaped(value, self.array(lambda: self.unpack("i")) or [])
         else:
             value = self._nested(lambda: self._scalar(number))
         return VARIANT_TYPES[number], value
@@ -232,6 +227,15 @@ class BinaryReader:
             data = self.byte_string()
             return None if data is None else base64.b64encode(data).decode()
         return readers[number]()
+
+
+def _shaped(values: list[Any] | None, lengths: list[int]) -> list[Any] | None:
+    """Return a flat list as a matrix with dimensions of these lengths; as it is where it is none."""
+    if values is None or math.prod(lengths) != len(values):
+        return values
+    for length in reversed(lengths[1:]):
+        values = [values[at : at + length] for at in range(0, len(values), length)] if length else []
+    return values
 
 
 def _finite(value: float) -> float | str:

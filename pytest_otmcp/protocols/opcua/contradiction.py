@@ -1,4 +1,4 @@
-"""Comparison of an OPC UA server's journal entry with itself: a mock keeps no bytes of services. Pure.
+"""Comparison of an OPC UA server's journal entry with the chunks that it holds, and with itself. Pure.
 
 The kind of an entry is the name of a service (OPC 10000-4, annex A of OPC 10000-6), or one of the few that are none. It says
 whether the entry is a request and may change the plant, and which members the entry can have.
@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import re
 
+from ...wire.framing import Framer
+from ...wire.opcua import chunk_length
 from ..journal import JournalEntry
 from ..reread import difference
-from .decoder import SERVICES, SESSION_KEEPING, STATE_CHANGING
+from .decoder import SERVICES, SESSION_KEEPING, STATE_CHANGING, OpcUaConversation
 from .entries import as_opcua
 
 __all__ = ["contradiction", "is_answer"]
@@ -22,8 +24,7 @@ _NO_SERVICE = frozenset(
 """Events, and messages of the connection protocol (OPC 10000-6, section 7.1.2)."""
 _SEALED = "Sealed"
 _SERVICES = frozenset(SERVICES.values()) | {
-    *("CallMethod", "FindServersOnNetwork", "MonitoredItemCreate", "MonitoredItemModify", "QueryFirst", "QueryNext"),
-    *("RegisterServer", "RegisterServer2"),
+    *("CallMethod", "MonitoredItemCreate", "MonitoredItemModify"),
 }
 """What a client may send, also what it should not: every structure of annex A whose name ends like a request's."""
 _UNNAMED = re.compile(r"(ns=\d+;)?[isgb]=.*")
@@ -57,7 +58,29 @@ def contradiction(entry: JournalEntry) -> str | None:
         shown = {"request": asks and kind not in SESSION_KEEPING, "state_changing": asks and kind in STATE_CHANGING}
     else:
         return f"is of the kind {kind!r}, which is no service"
-    return difference(dict(entry), shown, f"kind {kind!r}") or _unwanted(entry) or _wrong_node(entry)
+    found = difference(dict(entry), shown, f"kind {kind!r}") or _of_chunks(entry)
+    return found or _unwanted(entry) or _wrong_node(entry)
+
+
+def _of_chunks(entry: JournalEntry) -> str | None:
+    """Say where an entry differs from its chunks; None where it does not, or has none."""
+    chunks = as_opcua(entry).get("chunks")
+    if chunks is None:
+        return None
+    framer, conversation = Framer(chunk_length), OpcUaConversation()
+    try:
+        frames = framer.feed(bytes.fromhex(chunks))
+    except (TypeError, ValueError):
+        return f"has no chunks but {chunks!r}"
+    messages = [message for frame in frames for message in conversation.decode(entry["direction"], frame)]
+    if framer.pending or len(messages) != 1 or messages[0].kind == "malformed":
+        return "has chunks that are no message"
+    (message,) = messages
+    shown = {"kind": message.kind, "request": message.request, "state_changing": message.state_changing}
+    if entry["direction"] == "out" and message.kind not in SERVICES.values():
+        # Of which service it is the fault, the request says.
+        del shown["kind"]
+    return difference(dict(entry), {**shown, **message.fields}, "message")
 
 
 def _unwanted(entry: JournalEntry) -> str | None:

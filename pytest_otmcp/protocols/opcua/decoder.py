@@ -2,23 +2,22 @@
 
 OPC 10000-6, section 7.1 (OPC UA Connection Protocol) and 6.7 (chunks); OPC 10000-4 for the services. Every service is a
 request, except those of :data:`SESSION_KEEPING`; those of :data:`STATE_CHANGING` may change the plant. Signed channels are
-framed but not read: their messages are of kind ``Sealed``, and such a message of a client may ask for anything.
+framed but not read: their messages are of kind ``Sealed``, and such a message of a client may ask for anything. Every message keeps
+its chunks, but those with which a session is activated: they may hold a password.
 """
 
 from __future__ import annotations
 
-import struct
 from typing import Any
 
+from ...wire.framing import MalformedError
+from ...wire.opcua import LARGEST_CHUNK
 from ..conversation import Direction, Message, Outstanding
-from ..framing import MalformedError
 from .binary import BinaryReader, symbol
 
-__all__ = ["SERVICES", "SESSION_KEEPING", "STATE_CHANGING", "OpcUaConversation", "chunk_length"]
+__all__ = ["SERVICES", "SESSION_KEEPING", "STATE_CHANGING", "OpcUaConversation"]
 
-_MESSAGES = frozenset({b"HEL", b"ACK", b"ERR", b"RHE", b"OPN", b"MSG", b"CLO"})
 _CONNECTION_PROTOCOL = {"HEL": "Hello", "ACK": "Acknowledge", "ERR": "Error", "RHE": "ReverseHello"}
-_LARGEST_CHUNK = 64 * 1024 * 1024
 _POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
 
 # Numeric id of the binary encoding of the request (OPC 10000-6, annex A); the id of the response is three higher.
@@ -38,8 +37,11 @@ SERVICES = {
     527: "Browse",
     533: "BrowseNext",
     554: "TranslateBrowsePaths",
+    437: "RegisterServer",
     560: "RegisterNodes",
     566: "UnregisterNodes",
+    615: "QueryFirst",
+    621: "QueryNext",
     631: "Read",
     664: "HistoryRead",
     673: "Write",
@@ -57,8 +59,11 @@ SERVICES = {
     832: "Republish",
     841: "TransferSubscriptions",
     847: "DeleteSubscriptions",
+    12208: "FindServersOnNetwork",
+    12211: "RegisterServer2",
 }
 _SERVICE_FAULT = 397
+_MAY_HOLD_CREDENTIALS = "ActivateSession"
 STATE_CHANGING = frozenset(
     {"Write", "Call", "HistoryUpdate", "AddNodes", "AddReferences", "DeleteNodes", "DeleteReferences"}
 )
@@ -78,26 +83,11 @@ _ATTRIBUTES = (
 )
 
 
-def chunk_length(buffer: bytes | bytearray) -> int | None:
-    """Return the length of the message chunk at the beginning of the buffer (section 7.1.2.2).
-
-    Raises:
-        MalformedError: unknown message or chunk type, or an impossible size.
-    """
-    if len(buffer) < 8:
-        return None
-    kind, final, size = struct.unpack_from("<3scI", buffer)
-    if kind not in _MESSAGES or final not in b"FCA":
-        raise MalformedError(f"{bytes(buffer[:4])!r} begins no chunk")
-    if not 8 <= size <= _LARGEST_CHUNK:
-        raise MalformedError(f"the chunk size is {size}")
-    return int(size)
-
-
 class OpcUaConversation:
     """One connection: it joins chunks to messages, and answers to their requests."""
 
     def __init__(self) -> None:
+        self._bodies: dict[tuple[Direction, int], bytes] = {}
         self._chunks: dict[tuple[Direction, int], bytes] = {}
         self._outstanding = Outstanding()
         self._sealed = False
@@ -129,27 +119,27 @@ class OpcUaConversation:
         reader.unpack("I")
         request_id = reader.unpack("I")
         body = frame[len(frame) - reader.left :]
-        return self._service(direction, request_id, chr(frame[3]), body)
+        return self._service(direction, request_id, frame, body)
 
-    def _service(self, direction: Direction, request_id: int, final: str, body: bytes) -> list[Message]:
-        key = (direction, request_id)
+    def _service(self, direction: Direction, request_id: int, frame: bytes, body: bytes) -> list[Message]:
+        key, final = (direction, request_id), chr(frame[3])
+        before, chunks = self._bodies.pop(key, b""), self._chunks.pop(key, b"") + frame
         if final == "A":
-            self._chunks.pop(key, None)
             return [Message(direction=direction, kind="Abort", fields={"request_id": request_id})]
-        body = self._chunks.pop(key, b"") + body
+        body = before + body
         if final == "C":
-            if len(body) > _LARGEST_CHUNK:
+            if len(body) > LARGEST_CHUNK:
                 raise MalformedError("the message is too long")
-            self._chunks[key] = body
+            self._bodies[key], self._chunks[key] = body, chunks
             return []
         reader = BinaryReader(body)
         type_id = reader.node_id()
         number = int(type_id.removeprefix("i=")) if type_id.startswith("i=") else -1
         if direction == "in":
-            return [self._request(request_id, SERVICES.get(number, type_id), reader)]
-        return [self._response(request_id, number, type_id, reader)]
+            return [self._request(request_id, SERVICES.get(number, type_id), reader, chunks)]
+        return [self._response(request_id, number, type_id, reader, chunks)]
 
-    def _request(self, request_id: int, name: str, reader: BinaryReader) -> Message:
+    def _request(self, request_id: int, name: str, reader: BinaryReader, chunks: bytes) -> Message:
         reader.node_id()
         reader.take(8)
         handle = reader.unpack("I")
@@ -160,14 +150,14 @@ class OpcUaConversation:
         message = Message(
             direction="in",
             kind=name,
-            fields={"request_id": request_id, "request_handle": handle, **_asked(name, reader)},
+            fields={"request_id": request_id, "request_handle": handle, **_asked(name, reader), **_kept(name, chunks)},
             request=name not in SESSION_KEEPING,
             state_changing=name in STATE_CHANGING,
         )
         self._outstanding.add(request_id, message)
         return message
 
-    def _response(self, request_id: int, number: int, type_id: str, reader: BinaryReader) -> Message:
+    def _response(self, request_id: int, number: int, type_id: str, reader: BinaryReader, chunks: bytes) -> Message:
         asked = self._outstanding.take(request_id)
         name = SERVICES.get(number - 3, type_id) if asked is None else asked.kind
         reader.take(8)
@@ -178,7 +168,11 @@ class OpcUaConversation:
         fields = {"request_id": request_id, "request_handle": handle, "service_result": symbol(result)}
         if number != _SERVICE_FAULT:
             fields |= _answered(name, reader)
-        return Message(direction="out", kind=name, fields=fields, answers=asked)
+        return Message(direction="out", kind=name, fields=fields | _kept(name, chunks), answers=asked)
+
+
+def _kept(name: str, chunks: bytes) -> dict[str, str]:
+    return {} if name == _MAY_HOLD_CREDENTIALS else {"chunks": chunks.hex()}
 
 
 def _connection_message(kind: str, direction: Direction, reader: BinaryReader) -> Message:
@@ -202,13 +196,20 @@ def _asked(name: str, reader: BinaryReader) -> dict[str, Any]:
         return {"nodes": reader.array(lambda: _write_value(reader)) or []}
     if name == "Browse":
         reader.node_id()
-        reader.take(16)
-        return {"nodes": reader.array(lambda: _browse_description(reader)) or []}
+        reader.take(12)
+        most = reader.unpack("I")
+        return {"nodes": reader.array(lambda: _browse_description(reader)) or [], "most": most}
+    if name == "BrowseNext":
+        release = reader.unpack("B") != 0
+        return {"points": len(reader.array(reader.byte_string) or []), "release": release}
+    if name == "TranslateBrowsePaths":
+        return {"nodes": reader.array(lambda: _browse_path(reader)) or []}
     if name == "CreateMonitoredItems":
         reader.take(8)
         return {"nodes": reader.array(lambda: _monitored_item(reader)) or []}
     if name == "Call":
-        return {"methods": reader.array(lambda: _method_call(reader)) or []}
+        methods = reader.array(lambda: _method_call(reader)) or []
+        return {"nodes": [one["method_id"] for one in methods], "methods": methods}
     return {}
 
 
@@ -248,6 +249,12 @@ def _browse_description(reader: BinaryReader) -> str:
     return node
 
 
+def _browse_path(reader: BinaryReader) -> str:
+    node = reader.node_id()
+    reader.array(lambda: (reader.node_id(), reader.take(2), reader.qualified_name()))
+    return node
+
+
 def _method_call(reader: BinaryReader) -> dict[str, Any]:
     object_id, method_id = reader.node_id(), reader.node_id()
     variants = reader.array(reader.variant) or []
@@ -265,12 +272,14 @@ def _answered(name: str, reader: BinaryReader) -> dict[str, Any]:
         values = reader.array(reader.data_value) or []
         return {"results": [{"status": value["status"], "value": value["value"]} for value in values]}
     if name in ("Write", "AddReferences", "DeleteNodes", "DeleteReferences"):
-        return {"results": reader.array(lambda: symbol(reader.unpack("I"))) or []}
+        return {"results": reader.array(lambda: {"status": symbol(reader.unpack("I"))}) or []}
     if name in ("Browse", "BrowseNext"):
         results = reader.array(lambda: _browse_result(reader)) or []
-        return {"results": [status for status, _ in results], "counts": [count for _, count in results]}
+        return {"results": [{"status": status} for status, _ in results], "counts": [count for _, count in results]}
     if name == "CreateMonitoredItems":
         return {"results": reader.array(lambda: _monitored_result(reader)) or []}
+    if name == "TranslateBrowsePaths":
+        return {"results": reader.array(lambda: _path_result(reader)) or []}
     if name == "Call":
         return {"results": reader.array(lambda: _method_result(reader)) or []}
     return {}
@@ -292,12 +301,18 @@ def _reference(reader: BinaryReader) -> None:
     reader.expanded_node_id()
 
 
-def _monitored_result(reader: BinaryReader) -> str:
+def _path_result(reader: BinaryReader) -> dict[str, Any]:
+    status = symbol(reader.unpack("I"))
+    reader.array(lambda: (reader.expanded_node_id(), reader.take(4)))
+    return {"status": status}
+
+
+def _monitored_result(reader: BinaryReader) -> dict[str, Any]:
     status = symbol(reader.unpack("I"))
     # The item's identifier, its sampling interval and its queue; then the result of its filter.
     reader.take(16)
     reader.extension_object()
-    return status
+    return {"status": status}
 
 
 def _method_result(reader: BinaryReader) -> dict[str, Any]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 
+from ...wire.opcua import chunk_length
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import StateChanges
 from .contradiction import contradiction, is_answer
-from .decoder import OpcUaConversation, chunk_length
+from .decoder import OpcUaConversation
 from .entries import carried_out, describe
 from .exercise import EXERCISE
 from .operations import OPERATIONS

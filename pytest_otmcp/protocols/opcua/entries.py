@@ -47,9 +47,10 @@ class OpcUaEntry(JournalEntry, total=False):
         nodes: the nodes that a request names, or whose values a Publish notifies of; for other services than Read, Write,
             CreateMonitoredItems and Publish only their node ids.
         methods: of a Call: for each method ``object_id``, ``method_id``, ``arguments`` and the ``types`` of these.
-        results: of an answer, one for each item: a status code's symbol, or an object with ``status``.
+        results: of an answer, one for each item: an object with ``status``, the symbol of a status code.
         open_points: of an answer to Browse or BrowseNext: how many continuation points the session has open; missing for none.
         service_result: symbol of the status code of the service as a whole.
+        chunks: the message as it was on the wire, as hexadecimal digits; not of one that may hold a password.
     """
 
     nodes: list[Any]
@@ -57,6 +58,7 @@ class OpcUaEntry(JournalEntry, total=False):
     results: list[Any]
     open_points: int
     service_result: str
+    chunks: str
 
 
 def as_opcua(entry: JournalEntry) -> OpcUaEntry:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 
+from ...wire.s7 import tpkt_length
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ANSWERS, S7Conversation, contradiction, tpkt_length
+from .decoder import ANSWERS, S7Conversation, contradiction
 from .entries import carried_out, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS

@@ -78,16 +78,16 @@ class Latches(Device):
     async def _stream(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.clients += 1
         connection = self.clients
-        self.journal.append(connection=connection, direction="in", kind="CONNECTED")
+        self.journal.event(connection=connection, direction="in", kind="CONNECTED")
         while data := await reader.read(4096):
             self.execute("stream", connection, data, writer.write)
-        self.journal.append(connection=connection, direction="in", kind="DISCONNECTED")
+        self.journal.event(connection=connection, direction="in", kind="DISCONNECTED")
         writer.close()
 
     def execute(self, endpoint: str, connection: int, telegrams: bytes, answer: Callable[[bytes], Any]) -> None:
         """Execute telegrams and answer each."""
         for telegram in telegrams:
-            asked = self.journal.append(
+            asked = self.journal.event(
                 connection=connection,
                 direction="in",
                 kind="SET" if telegram else "ASK",
@@ -99,7 +99,7 @@ class Latches(Device):
             if telegram:
                 self.latches[endpoint] = telegram
             rule = self.faults.first(lambda rule: True)
-            self.journal.append(connection=connection, direction="out", kind="DONE", answers=asked, endpoint=endpoint)
+            self.journal.event(connection=connection, direction="out", kind="DONE", answers=asked, endpoint=endpoint)
             answer(bytes([telegram + 1 if rule is None else rule.answer]))
 
     async def aclose(self) -> None:

@@ -32,7 +32,7 @@ from pytest_otmcp.reference_adapters.mqtt.tools import Tools, _number
 from pytest_otmcp.reference_adapters.mqtt.tools import _payload as payload_of
 from pytest_otmcp.reference_adapters.mqtt.topics import check_name
 
-from pytest_otmcp.protocols.mqtt.sparkplug_decoder import payload_class
+from pytest_otmcp.wire.mqtt.sparkplug import payload_class
 
 from .choice import Bend, backed_off, choices, in_background, narrowed
 

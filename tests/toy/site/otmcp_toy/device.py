@@ -71,13 +71,13 @@ class ToyDevice(TcpDevice):
     def answer(self, connection: int, line: bytes, send: Callable[[bytes], None]) -> None:
         """Do what a line asks for, and answer it."""
         fields = parsed(line)
-        asked = self.journal.append(connection=connection, direction="in", **fields)
+        asked = self.journal.frame(line, connection=connection, direction="in")
         address, reply = fields.get("address", -1), b"E\n"
         if fields["request"] and 0 <= address < len(self.registers):
             self.registers[address] = fields.get("value", self.registers[address])
             letter = "K" if fields["kind"] == "write" else "V"
             reply = f"{letter} {address} {self.registers[address]}\n".encode()
-        self.journal.append(connection=connection, direction="out", answers=asked, **parsed(reply))
+        self.journal.frame(reply, connection=connection, direction="out", answers=asked)
         send(reply)
 
 

@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["KINDS", "MalformedError", "Tag", "Tags", "Value", "context", "enclosed", "encode", "value_of"]
+from ..framing import MalformedError
+
+__all__ = ["KINDS", "Tag", "Tags", "Value", "context", "enclosed", "encode", "value_of"]
 
 KINDS = (
     "null",
@@ -34,10 +36,6 @@ _FIXED = {"real": 4, "double": 8, "date": 4, "time": 4, "object-identifier": 4}
 _UTF_8, _UTF_16, _ISO_8859_1 = 0, 4, 5
 
 
-class MalformedError(Exception):
-    """The bytes are no tags, or no value of the datatype that they name."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Value:
     """One primitive value, JSON-safe.
@@ -52,7 +50,7 @@ class Value:
     value: Any
 
     def shown(self) -> dict[str, Any]:
-        """Return the value for journal and image."""
+        """Return the value for journal entries and images."""
         return {"type": self.kind, "value": self.value}
 
 
@@ -141,6 +139,17 @@ class Tags:
                 return
             depth += tag.is_opening - tag.is_closing
             yield tag
+
+    def construction(self) -> bytes:
+        """Return the bytes of the next tag, or of everything from this opening tag to its closing tag, and pass them."""
+        start, depth = self._at, 0
+        while True:
+            tag = self.next()
+            depth += tag.is_opening - tag.is_closing
+            if depth < 0:
+                raise MalformedError("a tag is closed that was not opened")
+            if not depth:
+                return self._data[start : self._at]
 
 
 def value_of(kind: str, content: bytes) -> Value:

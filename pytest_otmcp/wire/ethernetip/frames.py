@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from ..framed_connection import IllegalFrame
+from ..framing import MalformedError
 
 __all__ = [
     "CONNECTED_ADDRESS",
@@ -43,13 +43,13 @@ def frame_length(buffer: bytes | bytearray) -> int | None:
     """Return the length of the frame at the beginning of the buffer; None while too little of it has arrived.
 
     Raises:
-        IllegalFrame: no frame begins like that.
+        MalformedError: no frame begins like that.
     """
     if len(buffer) < 4:
         return None
     length = int.from_bytes(buffer[2:4], "little")
     if length > _LONGEST:
-        raise IllegalFrame(f"encapsulation: {length} bytes of data")
+        raise MalformedError(f"encapsulation: {length} bytes of data")
     return _HEADER.size + length
 
 
@@ -70,17 +70,20 @@ class Frame:
     status: int = 0
 
     @classmethod
-    def parse(cls, raw: bytes) -> Frame:
-        """Read a client's message.
+    def parse(cls, raw: bytes, *, answer: bool = False) -> Frame:
+        """Read a message.
+
+        Args:
+            answer: it is a controller's, which may have a status.
 
         Raises:
-            IllegalFrame: status or options of the header are not 0.
+            MalformedError: status or options of the header are not 0.
         """
         command, length, session, status, context, options = _HEADER.unpack_from(raw)
-        if status or options:
-            raise IllegalFrame(f"encapsulation: status {status:X} and options {options:X} in a request")
+        if options or (status and not answer):
+            raise MalformedError(f"encapsulation: status {status:X} and options {options:X} in its header")
         data = raw[_HEADER.size : _HEADER.size + length]
-        return cls(command=command, session=session, context=context, data=data)
+        return cls(command=command, session=session, context=context, data=data, status=status)
 
     def encoded(self) -> bytes:
         """Return the message as it is on the wire."""

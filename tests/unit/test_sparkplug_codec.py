@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.protocols.mqtt import oracle as oracle
-from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_message, decode_payload, parse_topic
+from pytest_otmcp.wire.mqtt.sparkplug import DATA_TYPES, decode_message, decode_payload, parse_topic
 
 from ..feeding import fed
 from .journals import Entry, entry, numbered

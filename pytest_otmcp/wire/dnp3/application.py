@@ -1,12 +1,16 @@
-"""Requests of masters: application header, function, objects, and what the journal says of them (IEEE 1815, clause 4.2)."""
+"""Fragments: application header, function, objects, and what journal entries say of them (IEEE 1815, clause 4.2).
+
+Requests are described as far as their bytes go, also those that an outstation refuses.
+"""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..framed_connection import IllegalFrame
+from ..framing import MalformedError
 from .objects import Header, IllegalObject, UnknownObject, headers
 
 __all__ = [
@@ -21,20 +25,26 @@ __all__ = [
     "OPERATE",
     "READ",
     "RECORD_CURRENT_TIME",
+    "RESPONSE",
     "SELECT",
+    "UNSOLICITED_RESPONSE",
     "WRITE",
     "Request",
+    "response_fields",
 ]
 
 CONFIRM, READ, WRITE, SELECT, OPERATE, DIRECT_OPERATE, DIRECT_OPERATE_NR = range(7)
 COLD_RESTART, ENABLE_UNSOLICITED, DISABLE_UNSOLICITED, DELAY_MEASURE, RECORD_CURRENT_TIME = 13, 20, 21, 23, 24
+RESPONSE, UNSOLICITED_RESPONSE = 129, 130
 _UNCHANGING = {CONFIRM, READ, ENABLE_UNSOLICITED, DISABLE_UNSOLICITED, DELAY_MEASURE, RECORD_CURRENT_TIME}
+"""Every other function may change the plant: freezing, restarts, applications, configuration, classes, files. A WRITE does, unless it is
+housekeeping, see :meth:`Request.housekeeping`."""
 _WITH_OBJECTS = {WRITE, SELECT, OPERATE, DIRECT_OPERATE, DIRECT_OPERATE_NR}
 _FIRST_RESPONSE = 0x80
 BROADCASTS = range(0xFFFD, 0x10000)
 """Link addresses that are every outstation's."""
 
-_FIR, _FIN, _UNSOLICITED = 0x80, 0x40, 0x10
+_FIR, _FIN, _CONFIRM_ME, _UNSOLICITED = 0x80, 0x40, 0x20, 0x10
 _RESTART_BIT = 7
 
 
@@ -61,15 +71,15 @@ class Request:
         """Read a request.
 
         Raises:
-            IllegalFrame: it is none, or not whole.
+            MalformedError: it is none, or not whole.
         """
         if len(fragment) < 2:
-            raise IllegalFrame("application: a fragment without its header")
+            raise MalformedError("application: a fragment without its header")
         control, function = fragment[:2]
         if control & (_FIR | _FIN) != _FIR | _FIN:
-            raise IllegalFrame("application: a request that is no whole fragment")
+            raise MalformedError("application: a request that is no whole fragment")
         if function >= _FIRST_RESPONSE:
-            raise IllegalFrame(f"application: the function {function} of an outstation")
+            raise MalformedError(f"application: the function {function} of an outstation")
         found: Sequence[Header] = ()
         problem: IllegalObject | None = None
         try:
@@ -100,7 +110,7 @@ class Request:
         return self.function not in _UNCHANGING and not self.housekeeping
 
     def described(self) -> dict[str, Any]:
-        """Return the members that the journal has of it."""
+        """Return the members that a journal entry has of it."""
         found: dict[str, Any] = {"function": self.function, "sequence": self.sequence}
         if self.function == CONFIRM:
             return {**found, "unsolicited": self.unsolicited}
@@ -117,6 +127,26 @@ class Request:
     def unknown(self) -> bool:
         """Whether it names an object that cannot even be read."""
         return isinstance(self.problem, UnknownObject)
+
+
+def response_fields(fragment: bytes) -> dict[str, Any]:
+    """Return what a response says; of objects that cannot be read nothing.
+
+    Raises:
+        MalformedError: it is none, or not whole.
+    """
+    if len(fragment) < 4:
+        raise MalformedError("application: a fragment without its header")
+    control, function = fragment[:2]
+    if control & (_FIR | _FIN) != _FIR | _FIN:
+        raise MalformedError("application: a response that is no whole fragment")
+    if function not in (RESPONSE, UNSOLICITED_RESPONSE):
+        raise MalformedError(f"application: the function {function} of a master")
+    fields = {"function": function, "sequence": control & 0x0F}
+    fields |= {"iin": int.from_bytes(fragment[2:4], "little"), "confirm": bool(control & _CONFIRM_ME)}
+    with contextlib.suppress(IllegalObject):
+        return {**fields, "objects": [header.described() for header in headers(fragment[4:], with_objects=True)]}
+    return {**fields, "objects": []}
 
 
 def _clears_restart(header: Header) -> bool:

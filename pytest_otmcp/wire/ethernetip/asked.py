@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ..framing import MalformedError
 from .cip import CONNECTION_MANAGER, LARGE_FORWARD_OPEN, UNCONNECTED_SEND
 from .describe import describe
+from .frames import (
+    CONNECTED_ADDRESS,
+    CONNECTED_DATA,
+    NULL_ADDRESS,
+    SEND_UNIT_DATA,
+    UNCONNECTED_DATA,
+    Frame,
+    packet_items,
+)
 from .messages import Refusal, Request
 
-__all__ = ["AskedFor", "connected_request", "unconnected_request"]
+__all__ = ["AskedFor", "asked_for", "content_of"]
 
 _TRANSPORT_CLASS = 0x0F
 _MESSAGES = (2, 3)
@@ -34,14 +44,48 @@ class AskedFor:
     route: bytes = b""
 
 
-def connected_request(connection_id: int, content: bytes) -> AskedFor:
-    """Return the request on a connection; its sequence count comes first."""
-    count, message = int.from_bytes(content[:2], "little"), content[2:]
-    fields = {**describe(message), "sequence": count, "connection_id": connection_id}
-    return AskedFor(kind="request", fields=fields, message=message)
+_CONNECTED = ((CONNECTED_ADDRESS, 4, 4), (CONNECTED_DATA, 4, 0xFFFF))
+_UNCONNECTED = ((NULL_ADDRESS, 0, 0), (UNCONNECTED_DATA, 2, 0xFFFF))
+"""The first items of a packet that carries a message: type, and least and most number of bytes."""
 
 
-def unconnected_request(message: bytes) -> AskedFor:
+def content_of(frame: Frame) -> tuple[dict[str, int], bytes]:
+    """Return the message that a packet carries, and its sequence count and connection id, if it came on a CIP connection.
+
+    Raises:
+        MalformedError: it carries none.
+    """
+    items, connected = packet_items(frame.data), frame.command == SEND_UNIT_DATA
+    if items is None or not _fit(items, _CONNECTED if connected else _UNCONNECTED):
+        raise MalformedError("encapsulation: no packet that carries a message")
+    (_, address), (_, content) = items[:2]
+    if not connected:
+        return {}, content
+    numbers = {"sequence": int.from_bytes(content[:2], "little"), "connection_id": int.from_bytes(address, "little")}
+    return numbers, content[2:]
+
+
+def _fit(items: Sequence[tuple[int, bytes]], wanted: Sequence[tuple[int, int, int]]) -> bool:
+    """Tell whether the first items of a packet are those of a message; others may follow (addresses of sockets)."""
+    return len(items) >= len(wanted) and all(
+        kind == expected and least <= len(content) <= most
+        for (kind, content), (expected, least, most) in zip(items, wanted, strict=False)
+    )
+
+
+def asked_for(frame: Frame) -> AskedFor:
+    """Return the request that a packet carries.
+
+    Raises:
+        MalformedError: it carries none.
+    """
+    numbers, message = content_of(frame)
+    if not numbers:
+        return _unconnected(message)
+    return AskedFor(kind="request", fields={**describe(message), **numbers}, message=message)
+
+
+def _unconnected(message: bytes) -> AskedFor:
     """Return the request without a connection; an Unconnected Send holds it."""
     fields = describe(message)
     item: Mapping[str, Any] = next(iter(fields["items"]), {})

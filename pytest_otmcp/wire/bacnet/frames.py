@@ -8,10 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+from ..framing import MalformedError
+
 __all__ = [
     "ABORT_SEGMENTATION",
     "Apdu",
-    "BadFrameError",
     "Frame",
     "LinkMessage",
     "NetworkMessage",
@@ -42,10 +43,6 @@ class PduType(IntEnum):
     ERROR = 5
     REJECT = 6
     ABORT = 7
-
-
-class BadFrameError(Exception):
-    """The datagram is no BACnet/IP message; the text says in which respect."""
 
 
 class LinkMessage(Exception):
@@ -80,7 +77,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Apdu:
-    """The head of an APDU that a client may send.
+    """The head of an APDU.
 
     Attributes:
         kind: its type.
@@ -99,23 +96,26 @@ class Apdu:
     largest: int = _MAX_APDU
 
 
-def frame_of(datagram: bytes) -> Frame:
+def frame_of(datagram: bytes, *, answer: bool = False) -> Frame:
     """Return the APDU in a datagram.
 
+    Args:
+        answer: the device has sent it, so it may be for a client on another network.
+
     Raises:
-        BadFrameError: the datagram is none of BACnet/IP.
+        MalformedError: the datagram is none of BACnet/IP.
         LinkMessage, NetworkMessage: it has no APDU for this device.
     """
     if len(datagram) < 4 or datagram[0] != _BACNET_IP:
-        raise BadFrameError("it does not begin as BACnet/IP does")
+        raise MalformedError("it does not begin as BACnet/IP does")
     function = datagram[1]
     if int.from_bytes(datagram[2:4]) != len(datagram):
-        raise BadFrameError(f"its length field says {int.from_bytes(datagram[2:4])}, it has {len(datagram)} bytes")
+        raise MalformedError(f"its length field says {int.from_bytes(datagram[2:4])}, it has {len(datagram)} bytes")
     if function not in (_UNICAST, _BROADCAST, _FORWARDED):
         raise LinkMessage(function)
     npdu = datagram[10 if function == _FORWARDED else 4 :]
     if len(npdu) < 2 or npdu[0] != 1:
-        raise BadFrameError("its network layer is not version 1")
+        raise MalformedError("its network layer is not version 1")
     control, at = npdu[1], 2
     destination = source = b""
     if control & 0x20:
@@ -126,16 +126,16 @@ def frame_of(datagram: bytes) -> Frame:
         at += 1  # hop count
     if control & 0x80:
         raise NetworkMessage(npdu[at] if len(npdu) > at else None)
-    if destination and int.from_bytes(destination[:2]) != _EVERY_NETWORK:
+    if destination and not answer and int.from_bytes(destination[:2]) != _EVERY_NETWORK:
         raise NetworkMessage(None)
     if len(npdu) <= at:
-        raise BadFrameError("it has no APDU")
+        raise MalformedError("it has no APDU")
     return Frame(apdu=npdu[at:], source=source, expects_reply=bool(control & 0x04))
 
 
 def _address(npdu: bytes, at: int) -> tuple[bytes, int]:
     if len(npdu) < at + 3 or len(npdu) < at + 3 + npdu[at + 2]:
-        raise BadFrameError("it ends inside a network address")
+        raise MalformedError("it ends inside a network address")
     end = at + 3 + npdu[at + 2]
     return npdu[at:end], end
 
@@ -144,7 +144,7 @@ def head_of(apdu: bytes) -> Apdu:
     """Return the head of an APDU.
 
     Raises:
-        BadFrameError: it ends inside its head.
+        MalformedError: it ends inside its head.
     """
     kind = apdu[0] >> 4
     try:
@@ -166,7 +166,7 @@ def head_of(apdu: bytes) -> Apdu:
             return Apdu(kind=kind, invoke_id=apdu[1], service=apdu[at], data=apdu[at + 1 :])
         return Apdu(kind=kind, invoke_id=apdu[1], data=apdu[2:])
     except IndexError:
-        raise BadFrameError("it ends inside the head of its APDU") from None
+        raise MalformedError("it ends inside the head of its APDU") from None
 
 
 def unicast(apdu: bytes, source: bytes = b"") -> bytes:

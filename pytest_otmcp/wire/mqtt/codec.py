@@ -1,6 +1,6 @@
 """The codec: control packets from and to bytes, for MQTT 3.1.1 and 5 (chapters 2 and 3 of both).
 
-Decoding is strict: a packet that the specification calls malformed raises :class:`~.wire.ProtocolViolation`. This
+Decoding is strict: a packet that the specification calls malformed raises :class:`~.primitives.ProtocolViolation`. This
 module does not decide whether a well-formed packet is allowed at this point of a conversation.
 """
 
@@ -30,9 +30,9 @@ from .packets import (
     Unsubscribe,
     Will,
 )
+from .primitives import MALFORMED_PACKET, ProtocolViolation, Reader, binary, string, uint16, varint
 from .properties import EMPTY, PROTOCOL_ERROR, Place, Properties, Property
 from .topics import check_filter, check_name, split_shared
-from .wire import MALFORMED_PACKET, ProtocolViolation, Reader, binary, string, uint16, varint
 
 __all__ = ["UnsupportedProtocol", "decode", "encode"]
 
@@ -70,11 +70,12 @@ def _malformed(reason: str) -> NoReturn:
     raise ProtocolViolation(reason, MALFORMED_PACKET)
 
 
-def decode(first: int, body: bytes, level: int) -> Packet:
+def decode(first: int, body: bytes, level: int, *, lenient: bool = False) -> Packet:
     """Return the packet with this first byte of the fixed header and this body.
 
     Args:
-        level: protocol level of the connection, 4 or 5; a CONNECT has its own level.
+        level: protocol level of the connection, 3 to 5; a CONNECT has its own level.
+        lenient: accept a PUBLISH with an illegal topic, and show it.
 
     Raises:
         ProtocolViolation: the packet is malformed.
@@ -83,7 +84,7 @@ def decode(first: int, body: bytes, level: int) -> Packet:
     if number == 0 or (number == PacketType.AUTH and level != MQTT_5):
         _malformed(f"packet type {number} does not exist")
     kind = PacketType(number)
-    reader = Reader(body)
+    reader = Reader(body, lenient=lenient and kind is PacketType.PUBLISH)
     packet: Packet
     if kind is PacketType.PUBLISH:
         return _publish(first & 0x0F, reader, level)
@@ -134,7 +135,7 @@ def _connect(reader: Reader, level: int) -> Connect:
     if name not in (b"MQTT", b"MQIsdp"):
         _malformed("the protocol name is not MQTT")
     level = reader.byte()
-    if name != b"MQTT" or level not in (MQTT_311, MQTT_5):
+    if (name, level) not in ((b"MQIsdp", 3), (b"MQTT", MQTT_311), (b"MQTT", MQTT_5)):
         raise UnsupportedProtocol(level)
     flags = reader.byte()
     has_will, will_qos, will_retain = bool(flags & 4), flags >> 3 & 3, bool(flags & 0x20)
@@ -143,7 +144,7 @@ def _connect(reader: Reader, level: int) -> Connect:
         _malformed("the reserved CONNECT flag is set")
     if will_qos == 3 or (not has_will and (will_qos or will_retain)):
         _malformed("the will flags contradict each other")
-    if has_password and not has_username and level == MQTT_311:
+    if has_password and not has_username and level != MQTT_5:
         _malformed("a password without a user name")
     keepalive = reader.uint16()
     properties = _properties(reader, level, Place.CONNECT)
@@ -190,9 +191,10 @@ def _publish(flags: int, reader: Reader, level: int) -> Publish:
     if not topic and level == MQTT_5:
         if Property.TOPIC_ALIAS not in properties:
             raise ProtocolViolation("neither topic name nor topic alias", PROTOCOL_ERROR)
-    else:
+    elif not reader.lenient:
         check_name(topic)
-    _check_message(properties)
+    if not reader.lenient:
+        _check_message(properties)
     return Publish(
         topic=topic,
         payload=reader.rest(),

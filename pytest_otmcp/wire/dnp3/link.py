@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from ..framed_connection import IllegalFrame
+from ..framing import MalformedError
 
 __all__ = [
     "ACK",
@@ -18,8 +18,7 @@ __all__ = [
     "UNCONFIRMED_USER_DATA",
     "LinkFrame",
     "Reassembly",
-    "crc",
-    "frame_length",
+    "link_length",
     "segments",
 ]
 
@@ -59,19 +58,19 @@ def crc(data: bytes | bytearray) -> bytes:
     return (value ^ 0xFFFF).to_bytes(2, "little")
 
 
-def frame_length(buffer: bytes | bytearray) -> int | None:
+def link_length(buffer: bytes | bytearray) -> int | None:
     """Return the length of the frame at the beginning of the buffer, check sums included; None while too little of it has arrived.
 
     Raises:
-        IllegalFrame: no frame begins like that.
+        MalformedError: no frame begins like that.
     """
     if buffer[:2] != _START[: len(buffer[:2])]:
-        raise IllegalFrame(f"link: it begins with {buffer[:2].hex()}, not with 0564")
+        raise MalformedError(f"link: it begins with {buffer[:2].hex()}, not with 0564")
     if len(buffer) < 3:
         return None
     user = buffer[2] - 5
     if user < 0:
-        raise IllegalFrame(f"link: length {buffer[2]}")
+        raise MalformedError(f"link: length {buffer[2]}")
     return _HEADER + user + 2 * -(-user // _BLOCK)
 
 
@@ -97,15 +96,15 @@ class LinkFrame:
         """Read a frame.
 
         Raises:
-            IllegalFrame: a check sum is wrong.
+            MalformedError: a check sum is wrong.
         """
         if crc(raw[:8]) != raw[8:_HEADER]:
-            raise IllegalFrame("link: the check sum of the header is wrong")
+            raise MalformedError("link: the check sum of the header is wrong")
         data = b""
         for start in range(_HEADER, len(raw), _BLOCK + 2):
             block = raw[start : start + _BLOCK + 2]
             if crc(block[:-2]) != block[-2:]:
-                raise IllegalFrame("link: a check sum of the data is wrong")
+                raise MalformedError("link: a check sum of the data is wrong")
             data += block[:-2]
         control, destination, source = struct.unpack_from("<BHH", raw, 3)
         return cls(
@@ -145,20 +144,20 @@ class Reassembly:
         """Add a segment; return the fragment that it completes.
 
         Raises:
-            IllegalFrame: it does not follow what was there.
+            MalformedError: it does not follow what was there.
         """
         if not segment:
-            raise IllegalFrame("transport: a segment without its header")
+            raise MalformedError("transport: a segment without its header")
         header = segment[0]
         sequence = header & 0x3F
         if header & _FIR:
             # A first segment discards what was not finished (clause 8.2.1).
             self._fragment.clear()
         elif sequence != self._next:
-            raise IllegalFrame(f"transport: a segment {sequence}, expected {self._next}")
+            raise MalformedError(f"transport: a segment {sequence}, expected {self._next}")
         self._fragment += segment[1:]
         if len(self._fragment) > LARGEST_FRAGMENT:
-            raise IllegalFrame(f"transport: a fragment of more than {LARGEST_FRAGMENT} bytes")
+            raise MalformedError(f"transport: a fragment of more than {LARGEST_FRAGMENT} bytes")
         if not header & _FIN:
             self._next = (sequence + 1) & 0x3F
             return None

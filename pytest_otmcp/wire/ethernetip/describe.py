@@ -1,4 +1,4 @@
-"""What the journal has of requests and answers, as far as their bytes say it."""
+"""What journal entries have of requests and answers, as far as their bytes say it; also of requests that a controller refuses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 from . import cip
 from .messages import Refusal, Request, embedded
-from .types import ELEMENTARY, STRING
 
 __all__ = ["describe", "described_reply"]
 
@@ -37,11 +36,14 @@ _SERVICES: dict[tuple[int, int | None], str] = {
 # Set_Attributes_All and _List, Reset, Start, Stop, Create, Delete, Set_Attribute_Single, Execute PCCC, and the writes of tags.
 _CHANGING = {0x02, cip.SET_LIST, 0x05, 0x06, 0x07, 0x08, 0x09, 0x10, 0x4B, cip.WRITE, cip.MODIFY, cip.WRITE_FRAGMENT}
 _HANDLE_FOLLOWS = 0x02A0
-_SIZES = {kind.code: kind.size for kind in ELEMENTARY.values()}
+_SIZES = {0xC1: 1, 0xC2: 1, 0xC3: 2, 0xC4: 4, 0xC5: 8, 0xC6: 1, 0xC7: 2, 0xC8: 4, 0xC9: 8, 0xCA: 4, 0xCB: 8}
+"""Codes of elementary types, from BOOL to LREAL, to bytes of a value."""
+_STRING, _STRING_SIZE = 0x0FCE, 88
+"""Handle of the structure that holds a text, and its bytes."""
 
 
 def describe(raw: bytes) -> dict[str, Any]:
-    """Return the members that the journal has of a request: ``service``, ``items`` and ``state_changing``."""
+    """Return the members that a journal entry has of a request: ``service``, ``items`` and ``state_changing``."""
     item = _item(raw)
     items = [item]
     if item["asks"] == "multiple":
@@ -95,7 +97,7 @@ def _written(service: int, data: bytes) -> dict[str, Any]:
     rest = rest[2:]
     if service == cip.WRITE_FRAGMENT:
         return {**found, "offset": _offset(rest, 0), "data": rest[4:].hex()}
-    size = STRING.size if found.get("handle") == STRING.handle else _SIZES.get(found["type"], len(rest))
+    size = _STRING_SIZE if found.get("handle") == _STRING else _SIZES.get(found["type"], len(rest))
     whole = found["count"] * size
     # A client may send more than it announces (pycomm3 does); the controller takes what is announced.
     return {**found, "data": rest[:whole].hex(), "excess": max(0, len(rest) - whole) or None}
@@ -110,7 +112,11 @@ def _offset(data: bytes, at: int) -> int | None:
 
 
 def described_reply(raw: bytes) -> dict[str, Any]:
-    """Return the members that the journal has of an answer: ``status``, ``extended`` and ``items``."""
+    """Return the members that a journal entry has of an answer: ``status``, ``extended`` and ``items``.
+
+    Raises:
+        IndexError: it is cut off.
+    """
     first = _result(raw)
     parts = [raw]
     if first["code"] == cip.MULTIPLE:

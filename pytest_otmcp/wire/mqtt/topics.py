@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .wire import ProtocolViolation
+from .primitives import ProtocolViolation
 
 __all__ = ["check_filter", "check_name", "matches", "split_shared"]
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from .wire import ProtocolViolation, Reader, binary, string, uint16, uint32, varint
+from .primitives import ProtocolViolation, Reader, binary, string, uint16, uint32, varint
 
-__all__ = ["EMPTY", "Place", "Properties", "Property", "decode", "describe", "encode"]
+__all__ = ["EMPTY", "Place", "Properties", "Property", "decode", "encode"]
 
 PROTOCOL_ERROR = 0x82
 
@@ -176,12 +175,3 @@ def encode(properties: Properties) -> bytes:
         parts += [varint(name) + write(one) for one in (value if isinstance(value, list) else [value])]
     encoded = b"".join(parts)
     return varint(len(encoded)) + encoded
-
-
-def describe(properties: Properties) -> dict[str, Any]:
-    """Return properties JSON-safe for the journal: by lower-case name, binary as base64, never authentication data."""
-    return {
-        name.name.lower(): base64.b64encode(value).decode() if isinstance(value, bytes) else value
-        for name, value in properties.items()
-        if name is not Property.AUTHENTICATION_DATA
-    }

@@ -1,17 +1,29 @@
-"""The primitive data of MQTT (5: section 1.5, 3.1.1: section 1.5): integers, strings, lengths, and the framing.
+"""The primitive data of MQTT (5: section 1.5, 3.1.1: section 1.5): integers, strings, and lengths.
 
 This file handles no packets. Bytes that it cannot read are a :class:`ProtocolViolation` of the peer.
 """
 
 from __future__ import annotations
 
-__all__ = ["Framer", "ProtocolViolation", "Reader", "binary", "string", "uint16", "uint32", "varint"]
+from ..framing import MalformedError
+
+__all__ = [
+    "PACKET_TOO_LARGE",
+    "ProtocolViolation",
+    "Reader",
+    "binary",
+    "packet_length",
+    "string",
+    "uint16",
+    "uint32",
+    "varint",
+]
 
 MALFORMED_PACKET = 0x81
 PACKET_TOO_LARGE = 0x95
 
 
-class ProtocolViolation(Exception):
+class ProtocolViolation(MalformedError):
     """The peer broke the protocol; the connection must be closed (5: section 4.13, 3.1.1: section 4.8).
 
     Attributes:
@@ -23,14 +35,37 @@ class ProtocolViolation(Exception):
         self.reason_code = reason_code
 
 
+def packet_length(buffer: bytes | bytearray) -> int | None:
+    """Return the length of the control packet at the beginning of the buffer (section 2.2.3: Remaining Length).
+
+    Raises:
+        MalformedError: packet type 0, or a Remaining Length of more than four bytes.
+    """
+    length = 0
+    for index, byte in enumerate(buffer[1:5]):
+        length |= (byte & 0x7F) << (7 * index)
+        if not byte & 0x80:
+            if buffer[0] >> 4 == 0:
+                raise MalformedError("packet type 0 is reserved")
+            return 2 + index + length
+    if len(buffer) >= 5:
+        raise MalformedError("the Remaining Length has more than four bytes")
+    return None
+
+
 class Reader:
-    """A reader of one packet's bytes from front to back; reading beyond the end is a violation."""
+    """A reader of one packet's bytes from front to back; reading beyond the end is a violation.
 
-    __slots__ = ("_at", "_data")
+    Attributes:
+        lenient: show what is wrong in a string, with its bytes escaped, instead of refusing it.
+    """
 
-    def __init__(self, data: bytes) -> None:
+    __slots__ = ("_at", "_data", "lenient")
+
+    def __init__(self, data: bytes, *, lenient: bool = False) -> None:
         self._data = data
         self._at = 0
+        self.lenient = lenient
 
     @property
     def left(self) -> int:
@@ -85,6 +120,8 @@ class Reader:
 
         U+FEFF is an ordinary character [MQTT-1.5.4-3].
         """
+        if self.lenient:
+            return self.binary().decode("utf-8", "backslashreplace")
         try:
             text = self.binary().decode("utf-8")
         except UnicodeDecodeError:
@@ -129,52 +166,3 @@ def binary(data: bytes) -> bytes:
 def string(text: str) -> bytes:
     """Return a UTF-8 Encoded String. Lone surrogates stand for bytes that are no UTF-8, which a poke may want to be sent."""
     return binary(text.encode("utf-8", "surrogateescape"))
-
-
-class Framer:
-    """A framer that cuts a byte stream into packets: fixed header byte and body.
-
-    Attributes:
-        minimal: True when a remaining length in more bytes than needed is a violation, as in MQTT 5 but not in 3.1.1.
-    """
-
-    def __init__(self, maximum_packet_size: int | None = None) -> None:
-        self._buffer = bytearray()
-        self._maximum = maximum_packet_size
-        self.minimal = False
-
-    def feed(self, data: bytes) -> None:
-        """Add bytes that have arrived."""
-        self._buffer += data
-
-    def next(self) -> tuple[int, bytes] | None:
-        """Return the next whole packet, None while it is incomplete.
-
-        Raises:
-            ProtocolViolation: the remaining length has five bytes, or the packet is larger than agreed.
-        """
-        buffer = self._buffer
-        remaining = 0
-        for index in range(1, 5):
-            if index >= len(buffer):
-                return None
-            byte = buffer[index]
-            remaining |= (byte & 0x7F) << 7 * (index - 1)
-            if byte & 0x80:
-                continue
-            if self.minimal and byte == 0 and index > 1:
-                raise ProtocolViolation("the remaining length is longer than needed")
-            end = index + 1 + remaining
-            if self._maximum is not None and end > self._maximum:
-                raise ProtocolViolation("the packet is larger than the maximum packet size", PACKET_TOO_LARGE)
-            if end > len(buffer):
-                return None
-            first, body = buffer[0], bytes(buffer[index + 1 : end])
-            del buffer[:end]
-            return first, body
-        raise ProtocolViolation("the remaining length has more than four bytes")
-
-    @property
-    def held(self) -> bytes:
-        """The first bytes that are not yet a packet, for the journal."""
-        return bytes(self._buffer[:64])

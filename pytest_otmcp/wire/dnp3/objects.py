@@ -1,6 +1,6 @@
 """Object headers and objects of the application layer (IEEE 1815, clause 4.2 and annex A). It handles bytes only.
 
-Values in the journal are JSON: what is no number, or infinite, is ``"NaN"``, ``"Infinity"`` or ``"-Infinity"``.
+Values in journal entries are JSON: what is no number, or infinite, is ``"NaN"``, ``"Infinity"`` or ``"-Infinity"``.
 """
 
 from __future__ import annotations
@@ -75,18 +75,18 @@ FORMATS: dict[tuple[int, int], tuple[str, str]] = {
     (52, 1): ("value", "H"),
     (52, 2): ("value", "H"),
 }
-"""Members and form of the objects that the outstation knows; the state of a binary point is bit 7 of its flags."""
+"""Members and form of the objects that are known here; the state of a binary point is bit 7 of its flags."""
 
 _STATES = frozenset({1, 2, 10})
 """Groups of binary points."""
 
 
 class IllegalObject(ValueError):
-    """The objects of a request cannot be read; the text says why. The outstation answers with IIN2.2, parameter error."""
+    """The objects of a request cannot be read; the text says why. An outstation answers with IIN2.2, parameter error."""
 
 
 class UnknownObject(IllegalObject):
-    """The outstation does not know the object, so that nothing behind it can be read: IIN2.1."""
+    """The object is not known here, so that nothing behind it can be read: IIN2.1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +110,7 @@ class Header:
     raw: Sequence[bytes] = ()
 
     def described(self) -> dict[str, Any]:
-        """Return the members that the journal has of it."""
+        """Return the members that a journal entry has of it."""
         found: dict[str, Any] = {"group": self.group, "variation": self.variation, "qualifier": self.qualifier}
         given = {"start": self.start, "stop": self.stop, "count": self.count}
         found |= {name: value for name, value in given.items() if value is not None}

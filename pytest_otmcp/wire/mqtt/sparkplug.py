@@ -1,7 +1,7 @@
-"""Decoder of Sparkplug B payloads, written from the specification's field table alone.
+"""The payloads of Sparkplug B, from the specification's field table.
 
 The protobuf schema is built when it is first needed, in a descriptor pool of its own: no generated file, no clash with
-another package's ``sparkplug_b_pb2``, and no code shared with the adapter or the mock whose payloads are judged.
+another package's ``sparkplug_b_pb2``, and no code shared with the adapter whose payloads are judged.
 Field names, numbers and types: Sparkplug 3.0.0, section 6.4.1 (Copyright Eclipse Foundation, used under the Eclipse
 Foundation Specification License v1.1). The four empty ``...Extension`` messages are left out; they hold nothing.
 """
@@ -15,7 +15,16 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-__all__ = ["DATA_TYPES", "Topic", "decode_message", "decode_payload", "parse_topic", "payload_times"]
+__all__ = [
+    "DATA_TYPES",
+    "Topic",
+    "decode_message",
+    "decode_payload",
+    "message_fields",
+    "parse_topic",
+    "payload_class",
+    "payload_times",
+]
 
 NAMESPACE = "spBv1.0"
 NODE_TYPES = frozenset({"NBIRTH", "NDEATH", "NDATA", "NCMD"})
@@ -167,6 +176,14 @@ def decode_message(topic: str, payload: bytes) -> dict[str, Any] | None:
     }
 
 
+def message_fields(topic: str, payload: bytes) -> dict[str, Any]:
+    """Return what journal entries have of the content of a message: the payload as base64, and the Sparkplug message that it is."""
+    fields: dict[str, Any] = {"payload": base64.b64encode(payload).decode()}
+    if sparkplug := decode_message(topic, payload):
+        fields["sparkplug"] = sparkplug
+    return fields
+
+
 def decode_payload(payload: bytes) -> dict[str, Any]:
     """Return ``{"seq", "timestamp", "metrics": [{"name", "alias", "datatype", "value", "is_null"}]}``, JSON-safe.
 
@@ -182,7 +199,7 @@ def decode_payload(payload: bytes) -> dict[str, Any]:
     message = payload_class()()
     try:
         message.ParseFromString(payload)
-    except DecodeError:
+    except (DecodeError, UnicodeDecodeError):
         raise ValueError("the payload is not the protobuf message of Sparkplug B") from None
     return {
         "seq": _given(message, "seq"),
@@ -204,7 +221,14 @@ def payload_times(payload: bytes) -> tuple[int | None, dict[str, int]]:
 
 
 def _given(message: Any, field: str) -> Any:
-    return getattr(message, field) if message.HasField(field) else None
+    return _legal(getattr(message, field)) if message.HasField(field) else None
+
+
+def _legal(value: Any) -> Any:
+    # One implementation of protobuf gives text that is not UTF-8 as bytes, another raises.
+    if isinstance(value, bytes):
+        raise ValueError("a text of the payload is not UTF-8")
+    return value
 
 
 def _metric(metric: Any) -> dict[str, Any]:
@@ -257,10 +281,10 @@ def _value(metric: Any, datatype: str | None, label: str) -> Any:
         return base64.b64encode(value).decode()
     if carrier == "dataset_value":
         rows = [[_cell(element) for element in row.elements] for row in value.rows]
-        return {"columns": list(value.columns), "rows": rows}
+        return {"columns": list(map(_legal, value.columns)), "rows": rows}
     if carrier == "template_value":
         return {"template_ref": _given(value, "template_ref"), "metrics": [_metric(inner) for inner in value.metrics]}
-    return value
+    return _legal(value)
 
 
 def _integer(value: int, datatype: str | None, carried: int, label: str) -> int:
@@ -287,7 +311,7 @@ def _finite(value: float) -> float | str:
 def _cell(element: Any) -> Any:
     carrier = element.WhichOneof("value")
     value = None if carrier is None else getattr(element, carrier)
-    return _finite(value) if isinstance(value, float) else value
+    return _finite(value) if isinstance(value, float) else _legal(value)
 
 
 _FORMATS = {"Int8": "b", "Int16": "h", "Int32": "i", "Int64": "q", "UInt8": "B", "UInt16": "H", "UInt32": "I"}

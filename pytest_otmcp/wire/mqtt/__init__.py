@@ -1,0 +1,1 @@
+"""The codec of MQTT and of the Sparkplug messages in it."""
