@@ -66,6 +66,7 @@ from .addresses import resolve
 from .arguments import LEFT_OUT, Arguments, BoundsCode
 from .call import Call
 from .errors import AdapterError
+from .link import BadReply, DeviceLink, Lost, repeat_once
 from .numbers import EXACT_IN_JSON, exact_in_json, special_name
 from .server import AdapterServer
 from .settings import ConfigError, Environment
@@ -78,12 +79,16 @@ __all__ = [
     "AdapterError",
     "AdapterServer",
     "Arguments",
+    "BadReply",
     "BoundsCode",
     "Call",
     "ConfigError",
+    "DeviceLink",
     "Environment",
+    "Lost",
     "device_text",
     "exact_in_json",
+    "repeat_once",
     "resolve",
     "special_name",
     "tool",

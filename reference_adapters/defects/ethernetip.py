@@ -140,7 +140,7 @@ def leaves_without_a_word(server: AdapterServer) -> None:
     link = _link(server)
 
     async def close() -> None:
-        link._drop()
+        link._drop(link._connection)
 
     server._close = close
 

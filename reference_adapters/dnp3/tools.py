@@ -8,13 +8,13 @@ from typing import Any
 from dnp3.core.enums import FunctionCode
 from dnp3.core.flags import IIN
 
-from ..core import AdapterError, Call, device_text, tool
+from ..core import AdapterError, BadReply, Call, device_text, tool
 from .aliases import Alias
 from .commands import ANALOG_VARIATIONS, AnalogType, binary_command, echoed_status, octets_written
 from .connection import Response
 from .conversions import command_for, entry, exactly, holds, shown, text
 from .link import Link
-from .objects import BadReply, Point, range_request
+from .objects import Point, range_request
 from .refusals import command_refused, status_name
 from .shapes import (
     AliasList,

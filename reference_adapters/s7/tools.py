@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from snap7.datatypes import S7Area
 
-from ..core import AdapterError, Call, device_text, exact_in_json, tool
+from ..core import AdapterError, BadReply, Call, device_text, exact_in_json, tool
 from .codec import DataType, Plain, Value, decode, encode, width
 from .cpu import Cpu
 from .link import Link
@@ -33,7 +33,7 @@ from .shapes import (
     WrittenValues,
 )
 from .tags import Tag
-from .wire import SUCCESS, BadReply, Variable, items_of, read_job, write_job
+from .wire import SUCCESS, Variable, items_of, read_job, write_job
 
 __all__ = ["Tools"]
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from ...core import AdapterError, AdapterServer
-from ...mqtt.connection import Connection, ConnectionLostError, Delivery, Message
+from ...core import AdapterError, AdapterServer, Lost
+from ...mqtt.connection import Connection, Delivery, Message
 from ...mqtt.inbox import Inbox
 from ...mqtt.link import Link
 from ..mqtt import equal_topics_only, retained, subscribed_topics_only
@@ -35,7 +35,7 @@ def acknowledgements_awaited_in_vain(server: AdapterServer) -> None:
         try:
             async with asyncio.timeout(_PATIENCE_S):
                 await genuine(connection, deliveries)
-        except (AdapterError, ConnectionLostError, TimeoutError):
+        except (AdapterError, Lost, TimeoutError):
             pass
 
     Connection.delivered = delivered
@@ -62,7 +62,7 @@ def subscriptions_not_awaited(server: AdapterServer) -> None:
         try:
             async with asyncio.timeout(_PATIENCE_S):
                 return await genuine(connection, filters)
-        except (AdapterError, ConnectionLostError, TimeoutError):
+        except (AdapterError, Lost, TimeoutError):
             return list(filters.values())
 
     Connection.subscribe = subscribe

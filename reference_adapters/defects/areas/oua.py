@@ -9,10 +9,10 @@ from typing import Any
 
 from asyncua import ua
 
-from ...core import AdapterError, AdapterServer, Call
+from ...core import AdapterError, AdapterServer, BadReply, Call, Lost
 from ...core.tools import AdapterTool
 from ...opcua import status, tools, values
-from ...opcua.link import LostError, NodeFacts
+from ...opcua.link import NodeFacts
 from ...opcua.services import Services
 from ..mutant import Bend, Data, Handler, Mutant, failing, told, wrap
 from ..opcua import writes_status_and_timestamp
@@ -220,8 +220,9 @@ def calls_again(server: AdapterServer) -> None:
     async def request(services: Services, ask: Any, items: int, *, changes: bool = False) -> Any:
         try:
             return await genuine(services, ask, items, changes=changes)
-        except LostError as lost:
-            raise LostError(lost.error, sent=False) from None
+        except (OSError, BadReply, Lost):
+            services._call.writes_sent = 0
+            raise Lost from None
 
     Services._request = request
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from ...core import AdapterServer
+from ...core import AdapterServer, Call
 from ...modbus import link as modbus_link
 from ...mqtt import link as mqtt_link
 from ...opcua import link as opcua_link
@@ -23,8 +23,8 @@ def sessions_left_behind(server: AdapterServer) -> None:
     left: list[Session] = []
 
     def forget(session: Session) -> None:
-        if link._session is session:
-            link._session = None
+        if link._connection is session:
+            link._connection = None
             left.append(session)
 
     link._drop = forget
@@ -39,18 +39,20 @@ def stays_on_a_dead_connection(server: AdapterServer) -> None:
     """A call that ran out of time leaves its connection as it is."""
     genuine = modbus_link.Link._explained
 
-    def explained(link: modbus_link.Link, connection: modbus_link._Connection, error: Exception) -> Exception:
+    def explained(
+        link: modbus_link.Link, call: Call, connection: modbus_link._Connection, error: Exception
+    ) -> Exception:
         if not connection.lost and isinstance(error, TimeoutError | modbus_link.ModbusException):
             link._connection = connection
             # The library would end it after three calls.
             connection.client.ctx.count_until_disconnect = sys.maxsize
-        return genuine(link, connection, error)
+        return genuine(link, call, connection, error)
 
     close = modbus_link.Link._drop
 
-    def drop(link: modbus_link.Link) -> None:
-        if link._connection is not None and link._connection.lost:
-            close(link)
+    def drop(link: modbus_link.Link, connection: modbus_link._Connection | None) -> None:
+        if connection is not None and connection.lost:
+            close(link, connection)
 
     modbus_link.Link._explained = explained
     modbus_link.Link._drop = drop

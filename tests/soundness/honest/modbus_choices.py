@@ -242,7 +242,7 @@ def connection_per_request(server: AdapterServer) -> None:
             try:
                 return await genuine(*arguments)
             finally:
-                link._drop()
+                link._drop(link._connection)
 
     link.exchange = exchange
 

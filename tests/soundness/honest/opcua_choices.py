@@ -323,9 +323,7 @@ def session_per_call(server: AdapterServer) -> None:
             try:
                 return await genuine(call, work)
             finally:
-                session: Session | None = link._session
-                if session is not None:
-                    link._drop(session)
+                link._drop(link._connection)
 
     link.perform = perform
 

@@ -216,7 +216,7 @@ def hangs_up_when_idle(server: AdapterServer) -> None:
 
     def hang_up() -> None:
         if not at_work:
-            link._drop()
+            link._drop(link._connection)
 
     def timed(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
