@@ -77,11 +77,11 @@ class DeviceLink(ABC, Generic[C]):
 
     Attributes:
         peer: what messages call the device.
-        failures: exceptions of the library when it cannot connect, or a connection ends.
+        failures: what a library raises, besides OSError, when it cannot connect or a connection ends.
     """
 
     peer = "device"
-    failures: tuple[type[Exception], ...] = (OSError, EOFError)
+    failures: tuple[type[Exception], ...] = ()
 
     def __init__(self, host: str, port: int, timeout_s: float) -> None:
         self._host = host
@@ -143,7 +143,7 @@ class DeviceLink(ABC, Generic[C]):
             return AdapterError("timeout", f"the {self.peer} did not answer within {self._timeout_s:g} s")
         if isinstance(error, BadReply):
             return AdapterError("protocol_error", f"the answer is not the one to the request: {error}")
-        return Lost() if isinstance(error, self.failures) else error
+        return Lost() if isinstance(error, (OSError, *self.failures)) else error
 
     async def _connected(self, call: Call) -> C:
         connection = self._connection
@@ -159,10 +159,11 @@ class DeviceLink(ABC, Generic[C]):
 
     async def _connect(self, call: Call) -> C:
         await resolve(self._host, self._port)
+        failures: tuple[type[Exception], ...] = (OSError, BadReply, *self.failures)
         try:
             async with asyncio.timeout(self._timeout_s):
                 return await self._open()
-        except (*self.failures, BadReply, TimeoutError) as error:
+        except failures as error:
             raise self._unreachable(error) from None
 
     def _unreachable(self, error: Exception) -> AdapterError:

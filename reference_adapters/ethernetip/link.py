@@ -53,7 +53,7 @@ class Link(DeviceLink[Connection]):
     """
 
     peer = "controller"
-    failures = (OSError, EOFError, Refused)
+    failures = (EOFError, Refused)
 
     def __init__(self, host: str, port: int, slot: int, timeout_s: float) -> None:
         super().__init__(host, port, timeout_s)
@@ -190,6 +190,6 @@ class Link(DeviceLink[Connection]):
                     await connection.writer.drain()
                     connection.writer.close()
                     await connection.writer.wait_closed()
-            except (*self.failures, BadReply):
+            except (OSError, EOFError, BadReply, Refused):
                 pass
         await super().close()

@@ -108,7 +108,7 @@ class _Connection:
 class Link(DeviceLink[_Connection]):
     """One TCP connection at a time to a Modbus device or gateway."""
 
-    failures = (ModbusException, OSError)
+    failures = (ModbusException,)
 
     async def exchange(self, call: Call, send: Send) -> ModbusPDU:
         """Send one request and return its reply, after checking that the reply belongs to this request.
@@ -119,7 +119,7 @@ class Link(DeviceLink[_Connection]):
         return _accepted(call, await self.perform(call, lambda connection: connection.exchange(call, send)))
 
     def _explained(self, call: Call, connection: _Connection, error: Exception) -> Exception:
-        if isinstance(error, self.failures):
+        if isinstance(error, OSError | ModbusException):
             if connection.received:
                 return AdapterError("protocol_error", "what the device sent is no valid reply to the request")
             # pymodbus raises the same for silence and for the end of a connection.

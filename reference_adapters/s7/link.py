@@ -54,7 +54,7 @@ class Link(DeviceLink[_Connection]):
     """
 
     peer = "controller"
-    failures = (S7Error, OSError)
+    failures = (S7Error,)
 
     def __init__(self, host: str, port: int, rack: int, slot: int, timeout_s: float) -> None:
         super().__init__(host, port, timeout_s)
