@@ -26,7 +26,7 @@ from pytest_otmcp.reference_adapters.bacnet.shapes import PropertyOf
 from pytest_otmcp.reference_adapters.bacnet.tools import Tools, _shown, _trace
 from pytest_otmcp.reference_adapters.bacnet.values import Read, known_property, object_type, primitives
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, Lost
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 
 from .choice import (
     background_call,

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.dnp3 import tools as dnp3_tools
 from pytest_otmcp.reference_adapters.dnp3.connection import Connection, Response
 from pytest_otmcp.reference_adapters.dnp3.conversions import exactly, shown

@@ -9,7 +9,7 @@ import struct
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.ethernetip import link as ethernetip_link
 from pytest_otmcp.reference_adapters.ethernetip import tools as ethernetip_tools
 from pytest_otmcp.reference_adapters.ethernetip.connection import SEND_RR_DATA, Connection, next_frame

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import paho.mqtt.client as paho
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, Lost
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.defects.host_application import beside
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.mqtt import connection as connections
 from pytest_otmcp.reference_adapters.mqtt import edge_node as edge_nodes
 from pytest_otmcp.reference_adapters.mqtt import payload as sparkplug
@@ -34,7 +34,7 @@ from pytest_otmcp.reference_adapters.mqtt.topics import check_name
 
 from pytest_otmcp.protocols.mqtt.sparkplug_decoder import payload_class
 
-from .choice import Bend, backed_off, choices, in_background, narrowed
+from .choice import Change, backed_off, choices, in_background, narrowed
 
 if TYPE_CHECKING:
     from pytest_otmcp.subject import Adapter
@@ -65,8 +65,8 @@ def background_call(server: AdapterServer) -> Call:
 # -- what it publishes of itself --------------------------------------------------------------------------------------
 
 
-def telling(seconds: float) -> Bend:
-    def bend(server: AdapterServer) -> None:
+def telling(seconds: float) -> Change:
+    def apply(server: AdapterServer) -> None:
         link = link_of(server)
 
         async def tell() -> None:
@@ -77,7 +77,7 @@ def telling(seconds: float) -> Bend:
 
         in_background(server, tell)
 
-    return bend
+    return apply
 
 
 @choice("tells of itself on a topic of its own ten times a second", "it commands nothing")
