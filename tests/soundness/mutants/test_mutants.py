@@ -19,7 +19,7 @@ from tests.soundness.document import DOCUMENT, with_section
 
 from .section import section
 
-DEFECTS = {defect.id: defect for defect in read(listing()).defects}
+LISTED = {defect.id: defect for defect in read(listing()).defects}
 
 WHOLE_MATRIX = "OTMCP_WHOLE_MATRIX" in os.environ
 VARIANTS = "OTMCP_WHOLE_MATRIX=1 runs every variant of a defect"
@@ -36,7 +36,7 @@ def marks(defect: Defect) -> list[pytest.MarkDecorator]:
 
 @pytest.mark.parametrize("name", [pytest.param(defect.id, marks=marks(defect)) for defect in DEFECTS.values()])
 def test_a_defect_fails_exactly_its_items_for_exactly_its_requirements(judge: Judge, name: str) -> None:
-    defect = DEFECTS[name]
+    defect = LISTED[name]
     tasks = " ".join(task.id for task in tasks_of(defect))
     time_scale = IMPATIENT if defect.waits else 1.0
     command = (sys.executable, *DEFECT, name) if defect.cold else None
@@ -64,11 +64,11 @@ AT_OTHERS = [(defect.id, protocol) for defect in ANYWHERE for protocol in sorted
 def test_a_defect_that_any_adapter_may_have_is_noticed_at_every_protocol(
     judge: Judge, name: str, protocol: str
 ) -> None:
-    alone = [task for task in tasks_of(replace(DEFECTS[name], protocol=protocol)) if task.adapters == (protocol,)]
+    alone = [task for task in tasks_of(replace(LISTED[name], protocol=protocol)) if task.adapters == (protocol,)]
     tasks = " ".join(next(task.id for task in alone if task.suite == suite) for suite in ("normal", "fault"))
     results = judge(protocol, *DEFECT, name, protocol, tasks=tasks)
     assert failing(results), "not noticed"
-    assert requirements(results) <= set(DEFECTS[name].requirements), words(results)
+    assert requirements(results) <= set(LISTED[name].requirements), words(results)
 
 
 def test_every_defect_of_the_catalogue_is_noticed_or_listed_with_its_group() -> None:
