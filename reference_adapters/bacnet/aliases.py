@@ -11,24 +11,21 @@ from __future__ import annotations
 
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from ..core import Named
 from .shapes import MINIMUM_ON_OFF, ObjectTypeName
 
 __all__ = ["Alias"]
 
 
-class Alias(BaseModel):
+class Alias(Named):
     """One named property."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
     device_id: int = Field(ge=0, le=4194302)
     object_type: ObjectTypeName
     object_instance: int = Field(ge=0, le=4194302)
     property_id: str = "present-value"
-    unit: str | None = None
-    writable: bool = False
     priority: int | None = Field(default=None, ge=1, le=16)
 
     @model_validator(mode="after")

@@ -1,8 +1,8 @@
-"""The UDP socket to the devices: every request is sent by this module's decision, and no write twice.
+"""The UDP socket to the devices.
 
 By default bacpypes3 sends a request again three times, each after three seconds, and reports silence as an abort of the peer. Here its
-retries are 0: :meth:`Link.ask` sends a question a second time with a new invoke id, :meth:`Link.command` sends a write once and waits as
-long. bacpypes3 forgets an answer whose data it cannot decode (0.0.110: its error has no invoke id), hands over answers about another
+retries are 0, and :func:`~..core.repeat_once` decides: a question is sent a second time, with a new invoke id, a write is sent once and waited
+for as long. bacpypes3 forgets an answer whose data it cannot decode (0.0.110: its error has no invoke id), hands over answers about another
 object, and as a ``NormalApplication`` lets anybody write to its own objects: :class:`_Client` has no objects to offer.
 """
 
@@ -31,7 +31,7 @@ from bacpypes3.local.device import DeviceObject
 from bacpypes3.netservice import NetworkServiceAccessPoint, NetworkServiceElement
 from bacpypes3.pdu import Address, IPv4Address
 
-from ..core import AdapterError, Call, resolve
+from ..core import AdapterError, Call, Lost, repeat_once, resolve
 from .refusals import refusal
 
 __all__ = ["Link"]
@@ -117,9 +117,7 @@ class Link:
         Raises:
             AdapterError: silence, a refusal, or an answer that cannot be read.
         """
-        return await self._exchange(
-            call, device, make, [self._timeout_s / _TRANSMISSIONS] * _TRANSMISSIONS, changes_state=False
-        )
+        return await self._exchange(call, device, make, changes_state=False)
 
     async def command(self, call: Call, device: int, make: Callable[[Address], ConfirmedRequestPDU]) -> Any:
         """Send a write, once, and return its acknowledgement.
@@ -127,46 +125,52 @@ class Link:
         Raises:
             AdapterError: see :meth:`ask`; after silence only the device knows whether it was executed.
         """
-        return await self._exchange(call, device, make, [self._timeout_s], changes_state=True)
+        return await self._exchange(call, device, make, changes_state=True)
 
     async def _exchange(
         self,
         call: Call,
         device: int | None,
         make: Callable[[Address], ConfirmedRequestPDU],
-        patience_s: list[float],
         *,
         changes_state: bool,
     ) -> Any:
         client, target = await self._opened()
         address = target if device is None else await self._address_of(call, device)
         self._using(call)
-        for seconds in patience_s:
+        silence = AdapterError("timeout", f"the device did not answer within {self._timeout_s:g} s")
+
+        async def transmission() -> Any:
             request = make(address)
             call.sending(changes_state=changes_state)
             pending = client.request(request)
             client.waiting[pending] = address
             call.trace.setdefault("invoke_ids", []).append(request.apduInvokeID)
             try:
-                async with asyncio.timeout(seconds):
-                    answer = await pending
+                async with asyncio.timeout(self._timeout_s if changes_state else self._timeout_s / _TRANSMISSIONS):
+                    return await pending
             except TimeoutError:
-                continue
-            except (ErrorPDU, RejectPDU, AbortPDU) as error:
-                self._answered(call)
-                raise refusal(call, error) from None
-            except _Unreadable:
-                self._answered(call)
-                message = "what the device answered cannot be read"
-                raise AdapterError("protocol_error", message) from None
+                raise Lost(silence) from None
             finally:
                 del client.waiting[pending]
+
+        try:
+            answer = await repeat_once(call, transmission)
+        except AdapterError as error:
+            if error is silence:
+                if device is not None:
+                    # It may have moved: the next call asks again where it is.
+                    self._addresses.pop(device, None)
+                self._silent(call)
+            raise
+        except (ErrorPDU, RejectPDU, AbortPDU) as error:
             self._answered(call)
-            return answer
-        if device is not None:
-            # It may have moved: the next call asks again where it is.
-            self._addresses.pop(device, None)
-        raise self._silence(call)
+            raise refusal(call, error) from None
+        except _Unreadable:
+            self._answered(call)
+            raise AdapterError("protocol_error", "what the device answered cannot be read") from None
+        self._answered(call)
+        return answer
 
     # -- finding devices --------------------------------------------------------------------------------------
 
@@ -199,7 +203,8 @@ class Link:
             except TimeoutError:
                 continue
         if not found.done():
-            raise self._silence(call, f"no device {device} answered a Who-Is")
+            self._silent(call)
+            raise AdapterError("timeout", f"no device {device} answered a Who-Is within {self._timeout_s:g} s")
         self._answered(call)
         return self._addresses.setdefault(device, found.result())
 
@@ -240,10 +245,9 @@ class Link:
             self._generation += 1
         call.answered()
 
-    def _silence(self, call: Call, what: str = "the device did not answer") -> AdapterError:
+    def _silent(self, call: Call) -> None:
         self._answers = False
         call.disconnected()
-        return AdapterError("timeout", f"{what} within {self._timeout_s:g} s")
 
     async def _opened(self) -> tuple[_Client, Address]:
         async with self._opening:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
-from ..core import LEFT_OUT, AdapterError, Arguments
+from ..core import LEFT_OUT, AdapterError, AliasName, Arguments
 
 MINIMUM_ON_OFF = 6
 """The priority that ASHRAE 135, clause 19.2.3, keeps for minimum on and off times."""
@@ -42,10 +42,6 @@ DeviceId = Annotated[int, Field(ge=0, le=4194302, description="instance number o
 
 
 # -- arguments ----------------------------------------------------------------------------------------------
-
-
-class Nothing(Arguments):
-    """No arguments."""
 
 
 class Discovery(Arguments):
@@ -104,12 +100,6 @@ class WriteProperty(PropertyOf):
             message = "priority 6 is reserved for minimum on and off times"
             raise AdapterError("invalid_input", message, field="/priority")
         return self
-
-
-class AliasName(Arguments):
-    """An alias of the alias map."""
-
-    alias: Annotated[str, Field(min_length=1, max_length=200, description="a name of the alias map")]
 
 
 class WriteAlias(AliasName):

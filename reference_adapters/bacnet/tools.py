@@ -9,17 +9,15 @@ from bacpypes3.apdu import ReadPropertyACK, ReadPropertyRequest, WritePropertyRe
 from bacpypes3.pdu import Address
 from bacpypes3.primitivedata import Atomic, Null, ObjectIdentifier, PropertyIdentifier
 
-from ..core import AdapterError, Call, device_text, tool
+from ..core import AdapterError, AliasName, Call, NameMap, Nothing, device_text, tool
 from .aliases import Alias
 from .link import Link
 from .shapes import (
-    AliasName,
     AliasValue,
     AliasWritten,
     Device,
     Discovery,
     FoundDevices,
-    Nothing,
     ObjectList,
     ObjectName,
     PropertyOf,
@@ -50,7 +48,7 @@ class Tools:
 
     def __init__(self, link: Link, *, aliases: Mapping[str, Alias], priority: int, configures: bool) -> None:
         self._link = link
-        self._aliases = aliases
+        self._aliases = NameMap(aliases, kind="alias", argument="alias")
         self._priority = priority
         self._configures = configures
 
@@ -130,7 +128,7 @@ class Tools:
     @tool("bacnet.read_alias")
     async def read_object_by_alias(self, call: Call, arguments: AliasName) -> AliasValue:
         """Read the property that an alias of the alias map stands for."""
-        alias = self._known_alias(arguments.alias)
+        alias = self._aliases.known(arguments.alias)
         asked = _of_alias(alias)
         shown = _shown(call, "/data/value", asked, await self._read(call, asked.device_id, asked))
         return {"alias": arguments.alias, "unit": alias.unit, **shown}
@@ -146,9 +144,7 @@ class Tools:
     @tool("bacnet.write_alias", writes=True)
     async def write_object_by_alias(self, call: Call, arguments: WriteAlias) -> AliasWritten:
         """Write the property that an alias of the alias map stands for, as write_property does."""
-        alias = self._known_alias(arguments.alias)
-        if not alias.writable:
-            raise AdapterError("not_writable", "the alias map does not allow writing this alias", outcome="not_sent")
+        alias = self._aliases.writable(arguments.alias)
         asked = WriteProperty(
             device_id=alias.device_id,
             object_type=alias.object_type,
@@ -266,11 +262,6 @@ class Tools:
         answer = await self._link.ask(call, device, request)
         _accept(answer, identifier, number, asked.array_index)
         return primitives(answer.propertyValue)
-
-    def _known_alias(self, name: str) -> Alias:
-        if name not in self._aliases:
-            raise AdapterError("illegal_address", "the alias map has no such alias", field="/alias", outcome="not_sent")
-        return self._aliases[name]
 
 
 # The instance is one that a caller may not name.

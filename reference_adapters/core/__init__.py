@@ -63,9 +63,11 @@ answer. From these the envelope takes ``attempts``, ``source`` and, after a fail
 from __future__ import annotations
 
 from .addresses import resolve
-from .arguments import LEFT_OUT, Arguments, BoundsCode
+from .arguments import LEFT_OUT, Arguments, BoundsCode, Nothing
 from .call import Call
 from .errors import AdapterError
+from .link import BadReply, DeviceLink, Lost, repeat_once
+from .maps import AliasName, Named, NameMap
 from .numbers import EXACT_IN_JSON, exact_in_json, special_name
 from .server import AdapterServer
 from .settings import ConfigError, Environment
@@ -77,13 +79,21 @@ __all__ = [
     "LEFT_OUT",
     "AdapterError",
     "AdapterServer",
+    "AliasName",
     "Arguments",
+    "BadReply",
     "BoundsCode",
     "Call",
     "ConfigError",
+    "DeviceLink",
     "Environment",
+    "Lost",
+    "NameMap",
+    "Named",
+    "Nothing",
     "device_text",
     "exact_in_json",
+    "repeat_once",
     "resolve",
     "special_name",
     "tool",

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from .errors import AdapterError
 
-__all__ = ["LEFT_OUT", "Arguments", "BoundsCode", "parse_arguments"]
+__all__ = ["LEFT_OUT", "Arguments", "BoundsCode", "Nothing", "parse_arguments"]
 
 _BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 _TOO_MUCH = {"too_long", "string_too_long", "bytes_too_long"}
@@ -34,6 +34,10 @@ class Arguments(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class Nothing(Arguments):
+    """No arguments."""
 
 
 @dataclass(frozen=True, slots=True)

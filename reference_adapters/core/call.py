@@ -42,7 +42,7 @@ class Call:
 
     Attributes:
         attempts: requests that were handed to the transport, repetitions included.
-        sent: True when a state-changing request may have left this process.
+        writes_sent: state-changing requests that may have left this process.
         trace: facts of the exchange as it was on the wire; see the envelope's description.
         source: ``device`` when the data came from the device in this call, ``cache`` when it was received earlier,
             else ``none``.
@@ -62,7 +62,7 @@ class Call:
         self.protocol = protocol
         self.writes = writes
         self.attempts = 0
-        self.sent = False
+        self.writes_sent = 0
         self.trace: dict[str, Any] = {}
         self.source = "none"
         self.extra: dict[str, Any] = {}
@@ -112,7 +112,7 @@ class Call:
             message = "this tool does not say what it changes, so it may not write while there are bounds"
             raise AdapterError("access_denied", message, outcome="not_sent")
         self.attempts += 1
-        self.sent = self.sent or (self.writes and changes_state)
+        self.writes_sent += self.writes and changes_state
 
     def answered(self, **trace: Any) -> None:
         """Note that the device answered."""
@@ -126,7 +126,7 @@ class Call:
     def failure(self, error: AdapterError) -> dict[str, Any]:
         """Return the envelope of a call that failed."""
         data = None if error.partial is None else {"partial": error.partial}
-        described = error.as_error(writes=self.writes, sent=self.sent)
+        described = error.as_error(writes=self.writes, sent=self.writes_sent > 0)
         return {"success": False, "data": data, "error": described, "meta": self._meta()}
 
     def _meta(self) -> dict[str, Any]:

@@ -17,9 +17,9 @@ from mcp.types import SERVER_INFO_META_KEY
 
 from ..core import AdapterServer, ConfigError
 from ..core.run import serve
+from .defect import Defect
 from .listing import listing
-from .mutant import Mutant
-from .table import MUTANTS, PROTOCOLS
+from .table import DEFECTS, PROTOCOLS
 
 
 def main() -> int:
@@ -28,32 +28,32 @@ def main() -> int:
         case ["--list"]:
             print(json.dumps(listing()))
             return 0
-        case [asked] if asked in MUTANTS:
-            protocol = MUTANTS[asked].protocol
-        case [asked, protocol] if asked in MUTANTS and MUTANTS[asked].anywhere and protocol in PROTOCOLS:
+        case [asked] if asked in DEFECTS:
+            protocol = DEFECTS[asked].protocol
+        case [asked, protocol] if asked in DEFECTS and DEFECTS[asked].anywhere and protocol in PROTOCOLS:
             pass
         case _:
             known = "ID, such as MU-13 | ID PROTOCOL, such as MU-47 s7, where any adapter may have the defect"
             print(f"usage: python -m pytest_otmcp.reference_adapters.defects {{--list | {known}}}", file=sys.stderr)
             return 2
-    mutant = MUTANTS[asked]
+    defect = DEFECTS[asked]
     try:
-        module = f"..{protocol}.named" if mutant.named else f"..{protocol}"
+        module = f"..{protocol}.named" if defect.named else f"..{protocol}"
         server: AdapterServer = import_module(module, __package__).build()
     except ConfigError as error:
         print(f"configuration: {error}", file=sys.stderr)
         return 2
-    introduce(server, mutant)
-    mutant.bend(server)
+    introduce(server, defect)
+    defect.change(server)
     return serve(server)
 
 
-def introduce(server: AdapterServer, mutant: Mutant) -> None:
+def introduce(server: AdapterServer, defect: Defect) -> None:
     """Let everything that names the server say that it is defective."""
-    server.name = server.mcp.name = f"{server.name} with defect {mutant.id}"
+    server.name = server.mcp.name = f"{server.name} with defect {defect.id}"
     meta: Any = server._completion["_meta"]
     meta[SERVER_INFO_META_KEY]["name"] = server.name
-    print(f"{server.name}, for the kit's mock devices only: {mutant.sentence}", file=sys.stderr, flush=True)
+    print(f"{server.name}, for the kit's mock devices only: {defect.sentence}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -9,10 +9,10 @@ from datetime import datetime
 
 from ..core import AdapterServer, Call
 from ..core import call as core_call
-from .mutant import Bend, Data, Mutant
+from .defect import Change, Data, defect
 
 __all__ = [
-    "MUTANTS",
+    "DEFECTS",
     "bare_schema",
     "constant_latency",
     "invented_trace",
@@ -24,10 +24,10 @@ __all__ = [
 _EVERY_ITEM = "M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10"
 
 
-def meta(change: Callable[[Data], None]) -> Bend:
+def meta(change: Callable[[Data], None]) -> Change:
     """Return the defect that every envelope says something else about its call."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = core_call.Call._meta
 
         def changed(call: Call) -> Data:
@@ -37,7 +37,7 @@ def meta(change: Callable[[Data], None]) -> Bend:
 
         core_call.Call._meta = changed
 
-    return bend
+    return apply
 
 
 def one_attempt(stated: Data) -> None:
@@ -83,69 +83,41 @@ def says_it_only_reads(server: AdapterServer) -> None:
     annotations.read_only_hint = True
 
 
-MUTANTS = (
-    Mutant(
-        id="MU-26",
-        protocol="modbus",
-        sentence="attempts is always 1.",
-        bend=meta(one_attempt),
-        items="M4 FM1 FM2",
-        requirements="ENV-005",
+DEFECTS = (
+    defect("MU-26", "modbus", "attempts is always 1.", meta(one_attempt), "M4 FM1 FM2", "ENV-005"),
+    defect(
+        "MU-53h",
+        "modbus",
+        "The tool that writes a register has a readOnlyHint.",
+        says_it_only_reads,
+        "M3 M4 X2 X2p FM2 S4 S10",
+        "MCP-008",
     ),
-    Mutant(
-        id="MU-53h",
-        protocol="modbus",
-        sentence="The tool that writes a register has a readOnlyHint.",
-        bend=says_it_only_reads,
-        items="M3 M4 X2 X2p FM2 S4 S10",
-        requirements="MCP-008",
+    defect("MU-59a", "modbus", "latency_ms is in seconds.", meta(latency_in_seconds), "M1", "ENV-004"),
+    defect("MU-59b", "opcua", "latency_ms is always 1.0.", meta(constant_latency), "O1", "ENV-004"),
+    defect(
+        "MU-60",
+        "modbus",
+        "meta.endpoint is the default address, not the device's.",
+        meta(default_endpoint),
+        _EVERY_ITEM,
+        "ENV-006",
     ),
-    Mutant(
-        id="MU-59a",
-        protocol="modbus",
-        sentence="latency_ms is in seconds.",
-        bend=meta(latency_in_seconds),
-        items="M1",
-        requirements="ENV-004",
+    defect(
+        "MU-112",
+        "modbus",
+        "Tools take any object, whatever they need.",
+        bare_schema,
+        _EVERY_ITEM.removeprefix("M1 "),
+        "MCP-003",
     ),
-    Mutant(
-        id="MU-59b",
-        protocol="opcua",
-        sentence="latency_ms is always 1.0.",
-        bend=meta(constant_latency),
-        items="O1",
-        requirements="ENV-004",
+    defect(
+        "MU-116w",
+        "modbus",
+        "Unit, function and address in meta.trace are invented.",
+        meta(invented_trace),
+        _EVERY_ITEM,
+        "ENV-007",
     ),
-    Mutant(
-        id="MU-60",
-        protocol="modbus",
-        sentence="meta.endpoint is the default address, not the device's.",
-        bend=meta(default_endpoint),
-        items=_EVERY_ITEM,
-        requirements="ENV-006",
-    ),
-    Mutant(
-        id="MU-112",
-        protocol="modbus",
-        sentence="Tools take any object, whatever they need.",
-        bend=bare_schema,
-        items=_EVERY_ITEM.removeprefix("M1 "),
-        requirements="MCP-003",
-    ),
-    Mutant(
-        id="MU-116w",
-        protocol="modbus",
-        sentence="Unit, function and address in meta.trace are invented.",
-        bend=meta(invented_trace),
-        items=_EVERY_ITEM,
-        requirements="ENV-007",
-    ),
-    Mutant(
-        id="MU-124",
-        protocol="modbus",
-        sentence="started_at is the local time with a Z behind it.",
-        bend=local_time,
-        items=_EVERY_ITEM,
-        requirements="ENC-007",
-    ),
+    defect("MU-124", "modbus", "started_at is the local time with a Z behind it.", local_time, _EVERY_ITEM, "ENC-007"),
 )

@@ -8,9 +8,9 @@ from typing import Any
 from ..core import AdapterServer, Call
 from .any_protocol import guard_after_sending
 from .areas.further import module_of
-from .mutant import Data, Handler, Mutant, each, succeeding
+from .defect import Data, Handler, around, defect, succeeding
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ, _WRITE = "read_analog_inputs", "write_binary_output"
 
@@ -18,26 +18,16 @@ _READ, _WRITE = "read_analog_inputs", "write_binary_output"
 _module = partial(module_of, "dnp3")
 
 
-def index_from_1(server: AdapterServer) -> None:
-    def shifted(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments.model_copy(update={"start_index": arguments.start_index + 1}))
-            return {**data, "points": [{**point, "index": point["index"] - 1} for point in data["points"]]}
-
-        return handler
-
-    each(_READ, change=shifted)(server)
+@around(_READ)
+async def index_from_1(genuine: Handler, call: Call, arguments: Any) -> Data:
+    data = await genuine(call, arguments.model_copy(update={"start_index": arguments.start_index + 1}))
+    return {**data, "points": [{**point, "index": point["index"] - 1} for point in data["points"]]}
 
 
-def neighbour_operated(server: AdapterServer) -> None:
-    def shifted(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments.model_copy(update={"index": arguments.index + 1}))
-            return {**data, "index": arguments.index}
-
-        return handler
-
-    each(_WRITE, change=shifted)(server)
+@around(_WRITE)
+async def neighbour_operated(genuine: Handler, call: Call, arguments: Any) -> Data:
+    data = await genuine(call, arguments.model_copy(update={"index": arguments.index + 1}))
+    return {**data, "index": arguments.index}
 
 
 def without_select(server: AdapterServer) -> None:
@@ -89,77 +79,70 @@ def told_to_nobody(server: AdapterServer) -> None:
     _module("link").Link._keep = lambda self, outstation, points: True
 
 
-MUTANTS = (
-    Mutant(
-        id="MU-01dnp",
-        protocol="dnp3",
-        sentence="Analog inputs are counted from 1: each index is the one of the point before.",
-        bend=index_from_1,
-        items="D2 D7 FD1 FD5 SD1 SD3 SD4",
-        requirements="RD-001 RD-004",
+DEFECTS = (
+    defect(
+        "MU-01dnp",
+        "dnp3",
+        "Analog inputs are counted from 1: each index is the one of the point before.",
+        index_from_1,
+        "D2 D7 FD1 FD5 SD1 SD3 SD4",
+        "RD-001 RD-004",
     ),
-    Mutant(
-        id="MU-02dnp",
-        protocol="dnp3",
-        sentence="The binary output beside the one that was asked for is operated, and told as the right one.",
-        bend=neighbour_operated,
-        items="D3 D4 D6 FD4 FD6",
-        requirements="ADR-001 ERR-002 WR-001 WR-002",
+    defect(
+        "MU-02dnp",
+        "dnp3",
+        "The binary output beside the one that was asked for is operated, and told as the right one.",
+        neighbour_operated,
+        "D3 D4 D6 FD4 FD6",
+        "ADR-001 ERR-002 WR-001 WR-002",
     ),
-    Mutant(
-        id="MU-07dnp",
-        protocol="dnp3",
-        sentence="Outputs are operated without being selected.",
-        bend=without_select,
-        items="D3 SD2",
-        requirements="WR-001",
+    defect("MU-07dnp", "dnp3", "Outputs are operated without being selected.", without_select, "D3 SD2", "WR-001"),
+    defect(
+        "MU-14dnp",
+        "dnp3",
+        "Every answer to a command is success: the status in the echo of its object is not looked at.",
+        any_answer_is_success,
+        "D6 FD2 FD3 FD6",
+        "ENV-007 ERR-002 ERR-006 WR-001",
     ),
-    Mutant(
-        id="MU-14dnp",
-        protocol="dnp3",
-        sentence="Every answer to a command is success: the status in the echo of its object is not looked at.",
-        bend=any_answer_is_success,
-        items="D6 FD2 FD3 FD6",
-        requirements="ENV-007 ERR-002 ERR-006 WR-001",
+    defect(
+        "MU-20dnp",
+        "dnp3",
+        "With writes disabled the output is operated, and then the command denied.",
+        guard_after_sending(_WRITE),
+        "D4",
+        "WR-004",
     ),
-    Mutant(
-        id="MU-20dnp",
-        protocol="dnp3",
-        sentence="With writes disabled the output is operated, and then the command denied.",
-        bend=guard_after_sending(_WRITE),
-        items="D4",
-        requirements="WR-004",
+    defect(
+        "MU-46dnp",
+        "dnp3",
+        "A read that the outstation refuses is a success without points.",
+        succeeding(_READ, code="illegal_address", answer=_no_points),
+        "FD1",
+        "ERR-002",
     ),
-    Mutant(
-        id="MU-46dnp",
-        protocol="dnp3",
-        sentence="A read that the outstation refuses is a success without points.",
-        bend=succeeding(_READ, code="illegal_address", answer=_no_points),
-        items="FD1",
-        requirements="ERR-002",
+    defect(
+        "MU-63dnp",
+        "dnp3",
+        "Events are not confirmed, so the outstation tells them again.",
+        nothing_confirmed,
+        "D5 D7",
+        "RD-001",
     ),
-    Mutant(
-        id="MU-63dnp",
-        protocol="dnp3",
-        sentence="Events are not confirmed, so the outstation tells them again.",
-        bend=nothing_confirmed,
-        items="D5 D7",
-        requirements="RD-001",
+    defect(
+        "MU-81dnp",
+        "dnp3",
+        "The last value of a point that is off line is told as a good one, without its flags.",
+        quality_dropped,
+        "FD5",
+        "RD-001",
     ),
-    Mutant(
-        id="MU-81dnp",
-        protocol="dnp3",
-        sentence="The last value of a point that is off line is told as a good one, without its flags.",
-        bend=quality_dropped,
-        items="FD5",
-        requirements="RD-001",
-    ),
-    Mutant(
-        id="MU-123u",
-        protocol="dnp3",
-        sentence="What the outstation tells unasked is confirmed, and nobody is told of it.",
-        bend=told_to_nobody,
-        items="D7",
-        requirements="RD-001",
+    defect(
+        "MU-123u",
+        "dnp3",
+        "What the outstation tells unasked is confirmed, and nobody is told of it.",
+        told_to_nobody,
+        "D7",
+        "RD-001",
     ),
 )

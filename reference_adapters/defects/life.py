@@ -11,9 +11,9 @@ import time
 from typing import Any
 
 from ..core import AdapterError, AdapterServer, Call
-from .mutant import Data, Handler, Mutant, each, failing
+from .defect import Data, Handler, around, defect, failing
 
-__all__ = ["MUTANTS", "exits_without_a_device"]
+__all__ = ["DEFECTS", "exits_without_a_device"]
 
 
 def address_of(server: AdapterServer) -> tuple[str, int]:
@@ -32,16 +32,14 @@ def exits_without_a_device(server: AdapterServer) -> None:
 def connection_per_call(server: AdapterServer) -> None:
     held = []
 
-    def connecting(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            with contextlib.suppress(OSError):
-                held.append(await asyncio.open_connection(*address_of(server)))
-            data: Data = await genuine(call, arguments)
-            return data
+    @around("read_input_registers")
+    async def connecting(genuine: Handler, call: Call, arguments: Any) -> Data:
+        with contextlib.suppress(OSError):
+            held.append(await asyncio.open_connection(*address_of(server)))
+        data = await genuine(call, arguments)
+        return data
 
-        return handler
-
-    each("read_input_registers", change=connecting)(server)
+    connecting(server)
 
 
 def stays_with_writes_disabled(server: AdapterServer) -> None:
@@ -54,39 +52,34 @@ def _always_a_timeout(call: Call, error: AdapterError) -> Exception | None:
     return AdapterError("timeout", "the device does not answer") if lost else None
 
 
-MUTANTS = (
-    Mutant(
-        id="MU-51",
-        protocol="modbus",
-        sentence="The adapter does not start while its device is off.",
-        bend=exits_without_a_device,
-        items="R-modbus",
-        requirements="MCP-002",
+DEFECTS = (
+    defect(
+        "MU-51",
+        "modbus",
+        "The adapter does not start while its device is off.",
+        exits_without_a_device,
+        "R-modbus",
+        "MCP-002",
         recovers=True,
     ),
-    Mutant(
-        id="MU-52r",
-        protocol="modbus",
-        sentence="With writes disabled the process does not exit when its stdin ends.",
-        bend=stays_with_writes_disabled,
-        items="M4",
-        requirements="MCP-009",
+    defect(
+        "MU-52r",
+        "modbus",
+        "With writes disabled the process does not exit when its stdin ends.",
+        stays_with_writes_disabled,
+        "M4",
+        "MCP-009",
         waits=True,
     ),
-    Mutant(
-        id="MU-90",
-        protocol="modbus",
-        sentence="Every call makes a connection and leaves it open.",
-        bend=connection_per_call,
-        items="S7",
-        requirements="CON-006",
+    defect(
+        "MU-90", "modbus", "Every call makes a connection and leaves it open.", connection_per_call, "S7", "CON-006"
     ),
-    Mutant(
-        id="MU-120",
-        protocol="modbus",
-        sentence="A refused, a reset and a silent connection have one code.",
-        bend=failing(change=_always_a_timeout),
-        items="S10",
-        requirements="ERR-005",
+    defect(
+        "MU-120",
+        "modbus",
+        "A refused, a reset and a silent connection have one code.",
+        failing(change=_always_a_timeout),
+        "S10",
+        "ERR-005",
     ),
 )

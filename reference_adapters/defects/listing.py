@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from .not_yet import GROUPS, NOT_YET, TOTAL
-from .table import MUTANTS, SAMPLE
+from .table import DEFECTS, SAMPLE
 
 __all__ = ["listing"]
 
@@ -28,7 +28,7 @@ def listing() -> dict[str, Any]:
                 "sample": one.id in SAMPLE,
                 "named": one.named,
             }
-            for one in MUTANTS.values()
+            for one in DEFECTS.values()
         ],
         "not_yet": [
             {"id": identifier, "sentence": sentence, "reason": GROUPS[group]}

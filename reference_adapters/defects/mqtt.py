@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from typing import Any
 
 from ..core import AdapterError, AdapterServer, Call
@@ -11,9 +10,9 @@ from ..mqtt import connection, inbox
 from ..mqtt import link as mqtt_link
 from ..mqtt.connection import Message
 from .any_protocol import answers_twice_from_one_exchange
-from .mutant import Data, Handler, Mutant, also, each, wrap
+from .defect import Change, Data, Handler, also, around, defect
 
-__all__ = ["MUTANTS", "link_of"]
+__all__ = ["DEFECTS", "link_of"]
 
 _PUBLISH = "publish_message"
 _GONE = ("connect_failed", "connection_lost")
@@ -26,30 +25,24 @@ def link_of(server: AdapterServer) -> mqtt_link.Link:
     return link
 
 
-def publish_not_sent(genuine: Handler) -> Handler:
-    async def handler(call: Call, arguments: Any) -> Data:
-        if not arguments.topic:
-            refused: Data = await genuine(call, arguments)
-            return refused
-        return {"topic": arguments.topic, "qos": 0, "retain": False, "payload_bytes": 1, "delivery": "unacknowledged"}
-
-    return handler
+async def publish_not_sent(genuine: Handler, call: Call, arguments: Any) -> Data:
+    if not arguments.topic:
+        refused: Data = await genuine(call, arguments)
+        return refused
+    return {"topic": arguments.topic, "qos": 0, "retain": False, "payload_bytes": 1, "delivery": "unacknowledged"}
 
 
-def keeps_what_failed(kept: list[Message], topic: str | None = None) -> Callable[[Handler], Handler]:
+def keeps_what_failed(kept: list[Message], topic: str | None = None) -> Change:
     """Return the change that what could not be published is kept, to be published on this topic or on its own one."""
 
-    def keeping(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code in _GONE:
-                    kept.append(Message(topic=topic or arguments.topic, payload=arguments.payload.encode()))
-                raise
-            return data
-
-        return handler
+    @around(_PUBLISH)
+    async def keeping(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            return await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code in _GONE:
+                kept.append(Message(topic=topic or arguments.topic, payload=arguments.payload.encode()))
+            raise
 
     return keeping
 
@@ -71,7 +64,7 @@ def made_up_for(server: AdapterServer, topic: str | None = None, after_s: float 
             send(made)
 
     mqtt_link.Link._restore = restore
-    each(_PUBLISH, change=keeps_what_failed(kept, topic))(server)
+    keeps_what_failed(kept, topic)(server)
 
 
 def delivered_later(server: AdapterServer) -> None:
@@ -79,21 +72,19 @@ def delivered_later(server: AdapterServer) -> None:
     link, kept = link_of(server), list[Message]()
     answered = 0
 
-    def delivering(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            nonlocal answered
-            data: Data = await genuine(call, arguments)
-            answered += bool(kept)
-            if answered >= _QUESTIONS:
-                for message in kept:
-                    link._connection.send(message)
-                kept.clear()
-            return data
+    @around("get_broker_info")
+    async def delivering(genuine: Handler, call: Call, arguments: Any) -> Data:
+        nonlocal answered
+        data = await genuine(call, arguments)
+        answered += bool(kept)
+        if answered >= _QUESTIONS:
+            for message in kept:
+                link._connection.send(message)
+            kept.clear()
+        return data
 
-        return handler
-
-    each(_PUBLISH, change=keeps_what_failed(kept, "line/late"))(server)
-    each("get_broker_info", change=delivering)(server)
+    keeps_what_failed(kept, "line/late")(server)
+    delivering(server)
 
 
 def forgets_subscriptions(server: AdapterServer) -> None:
@@ -119,13 +110,10 @@ async def heartbeat(server: AdapterServer, call: Call) -> None:
     await publish.handler(call, publish.model(topic="control/heartbeat", payload="1", qos=1))
 
 
-def retained(genuine: Handler) -> Handler:
-    async def handler(call: Call, arguments: Any) -> Data:
-        asked = arguments if "retain" in arguments.model_fields_set else arguments.model_copy(update={"retain": True})
-        data: Data = await genuine(call, asked)
-        return data
-
-    return handler
+async def retained(genuine: Handler, call: Call, arguments: Any) -> Data:
+    asked = arguments if "retain" in arguments.model_fields_set else arguments.model_copy(update={"retain": True})
+    data = await genuine(call, asked)
+    return data
 
 
 def status_from_memory(server: AdapterServer) -> None:
@@ -142,98 +130,89 @@ def clamped_qos(server: AdapterServer) -> None:
     tool = server._tools["subscribe_topic"]
     anything = type("Anything", (tool.model,), {"__annotations__": {"qos": int}, "__module__": __name__})
 
-    def clamping(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, tool.model(topic=arguments.topic, qos=min(arguments.qos, 2)))
-            return data
+    @around("subscribe_topic", model=anything)
+    async def clamping(genuine: Handler, call: Call, arguments: Any) -> Data:
+        data = await genuine(call, tool.model(topic=arguments.topic, qos=min(arguments.qos, 2)))
+        return data
 
-        return handler
-
-    wrap(server, "subscribe_topic", clamping, model=anything)
+    clamping(server)
 
 
-MUTANTS = (
-    Mutant(
-        id="MU-14q",
-        protocol="mqtt",
-        sentence="A publish succeeds, and nothing is sent.",
-        bend=each(_PUBLISH, change=publish_not_sent),
-        items="Q3 X2 X2p FQ1 FX1 S5 S11",
-        requirements="ADR-006 MQT-001",
+DEFECTS = (
+    defect(
+        "MU-14q",
+        "mqtt",
+        "A publish succeeds, and nothing is sent.",
+        around(_PUBLISH)(publish_not_sent),
+        "Q3 X2 X2p FQ1 FX1 S5 S11",
+        "ADR-006 MQT-001",
         waits=True,
     ),
-    Mutant(
-        id="MU-29",
-        protocol="mqtt",
-        sentence="A publish that failed is made up for when the broker is back.",
-        bend=made_up_for,
-        items="S11",
-        requirements="WR-010",
+    defect(
+        "MU-29",
+        "mqtt",
+        "A publish that failed is made up for when the broker is back.",
+        made_up_for,
+        "S11",
+        "WR-010",
         recovers=True,
     ),
-    Mutant(
-        id="MU-29d",
-        protocol="mqtt",
-        sentence="What could not be published is published on another topic, during the next item.",
-        bend=delivered_later,
-        items="R-mqtt",
-        requirements="WR-010",
+    defect(
+        "MU-29d",
+        "mqtt",
+        "What could not be published is published on another topic, during the next item.",
+        delivered_later,
+        "R-mqtt",
+        "WR-010",
         recovers=True,
     ),
-    Mutant(
-        id="MU-36q",
-        protocol="mqtt",
-        sentence="A status soon after another is told from memory, as if from the broker.",
-        bend=status_from_memory,
-        items="Q1 Q2 X1 X1p S8 S11",
-        requirements="ENV-008 RD-004",
+    defect(
+        "MU-36q",
+        "mqtt",
+        "A status soon after another is told from memory, as if from the broker.",
+        status_from_memory,
+        "Q1 Q2 X1 X1p S8 S11",
+        "ENV-008 RD-004",
     ),
-    Mutant(
-        id="MU-53q",
-        protocol="mqtt",
-        sentence="The tool that tells the broker's status publishes a heartbeat below control/.",
-        bend=also("get_broker_info", action=heartbeat),
-        items="Q1 Q2 Q3 Q4 X1 X1p S2 S5 S8 S11",
-        requirements="MCP-008 WR-003 WR-004 WR-010",
+    defect(
+        "MU-53q",
+        "mqtt",
+        "The tool that tells the broker's status publishes a heartbeat below control/.",
+        also("get_broker_info", action=heartbeat),
+        "Q1 Q2 Q3 Q4 X1 X1p S2 S5 S8 S11",
+        "MCP-008 WR-003 WR-004 WR-010",
     ),
-    Mutant(
-        id="MU-65",
-        protocol="mqtt",
-        sentence="Subscriptions that died with the connection are listed as active.",
-        bend=forgets_subscriptions,
-        items="S11",
-        requirements="REC-004",
+    defect(
+        "MU-65",
+        "mqtt",
+        "Subscriptions that died with the connection are listed as active.",
+        forgets_subscriptions,
+        "S11",
+        "REC-004",
     ),
-    Mutant(
-        id="MU-66",
-        protocol="mqtt",
-        sentence="Messages are retained unless the call says otherwise.",
-        bend=each(_PUBLISH, change=retained),
-        items="Q3 X2 X2p FQ1 FX1 S5",
-        requirements="MQT-003",
+    defect(
+        "MU-66",
+        "mqtt",
+        "Messages are retained unless the call says otherwise.",
+        around(_PUBLISH)(retained),
+        "Q3 X2 X2p FQ1 FX1 S5",
+        "MQT-003",
     ),
-    Mutant(
-        id="MU-67a",
-        protocol="mqtt",
-        sentence="Messages are looked up by their topic; a wildcard finds none.",
-        bend=equal_topics_only,
-        items="Q2",
-        requirements="MQT-004",
+    defect(
+        "MU-67a",
+        "mqtt",
+        "Messages are looked up by their topic; a wildcard finds none.",
+        equal_topics_only,
+        "Q2",
+        "MQT-004",
     ),
-    Mutant(
-        id="MU-67b",
-        protocol="mqtt",
-        sentence="A message is kept only if its topic is a subscription's text, so wildcards select nothing.",
-        bend=subscribed_topics_only,
-        items="Q2 S2",
-        requirements="MQT-004",
+    defect(
+        "MU-67b",
+        "mqtt",
+        "A message is kept only if its topic is a subscription's text, so wildcards select nothing.",
+        subscribed_topics_only,
+        "Q2 S2",
+        "MQT-004",
     ),
-    Mutant(
-        id="MU-69",
-        protocol="mqtt",
-        sentence="QoS 5 is taken for QoS 2.",
-        bend=clamped_qos,
-        items="FQ2",
-        requirements="ADR-007",
-    ),
+    defect("MU-69", "mqtt", "QoS 5 is taken for QoS 2.", clamped_qos, "FQ2", "ADR-007"),
 )

@@ -9,9 +9,9 @@ from asyncua import ua
 
 from ..core import AdapterError, AdapterServer, Call
 from ..opcua import services, tools
-from .mutant import Data, Mutant, also, failing, told
+from .defect import Data, also, defect, failing, told
 
-__all__ = ["MUTANTS", "heartbeat"]
+__all__ = ["DEFECTS", "heartbeat"]
 
 
 def _rounded(data: Data) -> Data:
@@ -59,46 +59,46 @@ def writes_status_and_timestamp(server: AdapterServer) -> None:
     services.ua = Timed()
 
 
-MUTANTS = (
-    Mutant(
-        id="MU-53o",
-        protocol="opcua",
-        sentence="The tool that browses writes a heartbeat.",
-        bend=also("browse_opcua_node_children", action=heartbeat),
-        items="O2",
-        requirements="MCP-008",
+DEFECTS = (
+    defect(
+        "MU-53o",
+        "opcua",
+        "The tool that browses writes a heartbeat.",
+        also("browse_opcua_node_children", action=heartbeat),
+        "O2",
+        "MCP-008",
     ),
-    Mutant(
-        id="MU-57",
-        protocol="opcua",
-        sentence="Values are rounded to two decimals.",
-        bend=told("read_opcua_node", "read_multiple_opcua_nodes", change=_rounded),
-        items="O1 X1 X1p FO1 S3 S6 S9",
-        requirements="CON-004 ENC-003",
+    defect(
+        "MU-57",
+        "opcua",
+        "Values are rounded to two decimals.",
+        told("read_opcua_node", "read_multiple_opcua_nodes", change=_rounded),
+        "O1 X1 X1p FO1 S3 S6 S9",
+        "CON-004 ENC-003",
     ),
-    Mutant(
-        id="MU-80b",
-        protocol="opcua",
-        sentence="Every number is written as Int64, whatever the node's data type.",
-        bend=always_int64,
-        items="O3 X2 X2p FO2 S6",
-        requirements="OUA-001 WR-001",
+    defect(
+        "MU-80b",
+        "opcua",
+        "Every number is written as Int64, whatever the node's data type.",
+        always_int64,
+        "O3 X2 X2p FO2 S6",
+        "OUA-001 WR-001",
     ),
-    Mutant(
-        id="MU-118",
-        protocol="opcua",
-        sentence="Every Bad status becomes protocol_error.",
-        bend=failing(change=_without_symbols),
-        items="FO1 FX1",
-        requirements="ERR-003",
+    defect(
+        "MU-118",
+        "opcua",
+        "Every Bad status becomes protocol_error.",
+        failing(change=_without_symbols),
+        "FO1 FX1",
+        "ERR-003",
     ),
-    Mutant(
-        id="MU-129",
-        protocol="opcua",
-        sentence="A status and a SourceTimestamp are written with every value.",
-        bend=writes_status_and_timestamp,
-        items="O3 X2 X2p S6",
-        requirements="OUA-005",
+    defect(
+        "MU-129",
+        "opcua",
+        "A status and a SourceTimestamp are written with every value.",
+        writes_status_and_timestamp,
+        "O3 X2 X2p S6",
+        "OUA-005",
         quick=True,
     ),
 )

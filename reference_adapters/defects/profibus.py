@@ -12,9 +12,9 @@ from pydantic import create_model, field_validator
 from ..core import AdapterError, AdapterServer, Call
 from .any_protocol import guard_after_sending
 from .areas.further import module_of
-from .mutant import Data, Handler, Mutant, failing, succeeding, wrap
+from .defect import Data, Handler, around, defect, failing, succeeding, wrap
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ, _WRITE, _SCAN = "read_inputs", "write_outputs", "scan_bus"
 _LOCK_WITHOUT_WATCHDOG = 0x80
@@ -44,18 +44,16 @@ def cut_off(server: AdapterServer) -> None:
 def any_length(server: AdapterServer) -> None:
     master = _master(server)
 
-    def unchecked(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            held = await master.write(call, arguments.slave_address, lambda _: bytes(arguments.data))
-            return {
-                "slave_address": arguments.slave_address,
-                "bytes": list(held),
-                "watchdog_s": master.watchdog_s,
-            }
+    @around(_WRITE)
+    async def unchecked(genuine: Handler, call: Call, arguments: Any) -> Data:
+        held = await master.write(call, arguments.slave_address, lambda _: bytes(arguments.data))
+        return {
+            "slave_address": arguments.slave_address,
+            "bytes": list(held),
+            "watchdog_s": master.watchdog_s,
+        }
 
-        return handler
-
-    wrap(server, _WRITE, unchecked)
+    unchecked(server)
 
 
 def write_not_sent(server: AdapterServer) -> None:
@@ -70,21 +68,19 @@ def write_not_sent(server: AdapterServer) -> None:
 def sent_before_refused(server: AdapterServer) -> None:
     master = _master(server)
 
-    def sending(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code == "config_error":
-                    hidden = Call(protocol="", operation="", endpoint="", writes=True)
-                    with suppress(AdapterError):
-                        await master._exchange_data(hidden, arguments.slave_address, bytes(arguments.data))
-                raise
-            return data
+    @around(_WRITE)
+    async def sending(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            data = await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code == "config_error":
+                hidden = Call(protocol="", operation="", endpoint="", writes=True)
+                with suppress(AdapterError):
+                    await master._exchange_data(hidden, arguments.slave_address, bytes(arguments.data))
+            raise
+        return data
 
-        return handler
-
-    wrap(server, _WRITE, sending)
+    sending(server)
 
 
 def written_once(server: AdapterServer) -> None:
@@ -103,34 +99,30 @@ def left_on(server: AdapterServer) -> None:
 def reading_owns(server: AdapterServer) -> None:
     master = _master(server)
 
-    def owning(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            if arguments.slave_address in master.slaves:
-                # What it sends beside the reading is not told.
-                hidden = Call(protocol="", operation="", endpoint="", writes=True)
-                try:
-                    await master.write(hidden, arguments.slave_address, lambda held: held)
-                except AdapterError as error:
-                    if error.code != "access_denied":
-                        raise
-            data: Data = await genuine(call, arguments)
-            return data
+    @around(_READ)
+    async def owning(genuine: Handler, call: Call, arguments: Any) -> Data:
+        if arguments.slave_address in master.slaves:
+            # What it sends beside the reading is not told.
+            hidden = Call(protocol="", operation="", endpoint="", writes=True)
+            try:
+                await master.write(hidden, arguments.slave_address, lambda held: held)
+            except AdapterError as error:
+                if error.code != "access_denied":
+                    raise
+        data = await genuine(call, arguments)
+        return data
 
-        return handler
-
-    wrap(server, _READ, owning)
+    owning(server)
 
 
 def listed_not_asked(server: AdapterServer) -> None:
     master = _master(server)
 
-    def from_the_map(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            return {"stations": [{"address": address, "type": "slave"} for address in sorted(master.slaves)]}
+    @around(_SCAN)
+    async def from_the_map(genuine: Handler, call: Call, arguments: Any) -> Data:
+        return {"stations": [{"address": address, "type": "slave"} for address in sorted(master.slaves)]}
 
-        return handler
-
-    wrap(server, _SCAN, from_the_map)
+    from_the_map(server)
 
 
 def _zeros(call: Call, arguments: Any) -> Data:
@@ -143,93 +135,93 @@ def _one_code(call: Call, error: AdapterError) -> Exception | None:
     return AdapterError("session_error", error.message, outcome="not_sent")
 
 
-MUTANTS = (
-    Mutant(
-        id="MU-08p",
-        protocol="profibus",
-        sentence="300 is written to an output byte as 44, and told as a success.",
-        bend=cut_off,
-        items="FP3",
-        requirements="ADR-003",
+DEFECTS = (
+    defect(
+        "MU-08p",
+        "profibus",
+        "300 is written to an output byte as 44, and told as a success.",
+        cut_off,
+        "FP3",
+        "ADR-003",
     ),
-    Mutant(
-        id="MU-10p",
-        protocol="profibus",
-        sentence="Outputs of another length than the slave's are sent as they are.",
-        bend=any_length,
-        items="FP2",
-        requirements="ADR-004 ERR-006",
+    defect(
+        "MU-10p",
+        "profibus",
+        "Outputs of another length than the slave's are sent as they are.",
+        any_length,
+        "FP2",
+        "ADR-004 ERR-006",
     ),
-    Mutant(
-        id="MU-14p",
-        protocol="profibus",
-        sentence="Outputs are told as written, and nothing is sent.",
-        bend=write_not_sent,
-        items="P3 P4 P5 FP3 FP4 FP5 SP2 SP4",
-        requirements="WR-001 ERR-002",
+    defect(
+        "MU-14p",
+        "profibus",
+        "Outputs are told as written, and nothing is sent.",
+        write_not_sent,
+        "P3 P4 P5 FP3 FP4 FP5 SP2 SP4",
+        "WR-001 ERR-002",
     ),
-    Mutant(
-        id="MU-17p",
-        protocol="profibus",
-        sentence="Outputs are written once and not repeated, so they fall at the slave's watchdog.",
-        bend=written_once,
-        items="P3",
-        requirements="WR-001",
+    defect(
+        "MU-17p",
+        "profibus",
+        "Outputs are written once and not repeated, so they fall at the slave's watchdog.",
+        written_once,
+        "P3",
+        "WR-001",
     ),
-    Mutant(
-        id="MU-20p",
-        protocol="profibus",
-        sentence="With writes disabled the outputs are sent, and then denied.",
-        bend=guard_after_sending(_WRITE),
-        items="P4 SP4",
-        requirements="WR-004 ERR-006",
+    defect(
+        "MU-20p",
+        "profibus",
+        "With writes disabled the outputs are sent, and then denied.",
+        guard_after_sending(_WRITE),
+        "P4 SP4",
+        "WR-004 ERR-006",
     ),
-    Mutant(
-        id="MU-20pi",
-        protocol="profibus",
-        sentence="Outputs are sent to a slave of another kind, and refused afterwards.",
-        bend=sent_before_refused,
-        items="FP5",
-        requirements="ERR-006",
+    defect(
+        "MU-20pi",
+        "profibus",
+        "Outputs are sent to a slave of another kind, and refused afterwards.",
+        sent_before_refused,
+        "FP5",
+        "ERR-006",
     ),
-    Mutant(
-        id="MU-35p",
-        protocol="profibus",
-        sentence="A scan of the line lists the configured slaves, and asks nobody.",
-        bend=listed_not_asked,
-        items="P6",
-        requirements="RD-001 RD-004",
+    defect(
+        "MU-35p",
+        "profibus",
+        "A scan of the line lists the configured slaves, and asks nobody.",
+        listed_not_asked,
+        "P6",
+        "RD-001 RD-004",
     ),
-    Mutant(
-        id="MU-40p",
-        protocol="profibus",
-        sentence="The inputs of a slave that does not answer are zero.",
-        bend=succeeding(_READ, code="timeout", answer=_zeros),
-        items="FP1 SP4",
-        requirements="ERR-002 REC-002 not_proven",
+    defect(
+        "MU-40p",
+        "profibus",
+        "The inputs of a slave that does not answer are zero.",
+        succeeding(_READ, code="timeout", answer=_zeros),
+        "FP1 SP4",
+        "ERR-002 REC-002 not_proven",
     ),
-    Mutant(
-        id="MU-45p",
-        protocol="profibus",
-        sentence="A slave of another kind, and one of another master, are told as the same error of a session.",
-        bend=failing(_WRITE, change=_one_code),
-        items="FP4 FP5",
-        requirements="ERR-002",
+    defect(
+        "MU-45p",
+        "profibus",
+        "A slave of another kind, and one of another master, are told as the same error of a session.",
+        failing(_WRITE, change=_one_code),
+        "FP4 FP5",
+        "ERR-002",
     ),
-    Mutant(
-        id="MU-52p",
-        protocol="profibus",
-        sentence="Slaves have no watchdog and no farewell, so outputs stay on when the adapter has ended.",
-        bend=left_on,
-        items="P5",
-        requirements="MCP-009 WR-001",
+    defect(
+        "MU-52p",
+        "profibus",
+        "Slaves have no watchdog and no farewell, so outputs stay on when the adapter has ended.",
+        left_on,
+        "P5",
+        "MCP-009 WR-001",
     ),
-    Mutant(
-        id="MU-53p",
-        protocol="profibus",
-        sentence="Reading inputs parameterises the slave and exchanges data with it, also with writes disabled.",
-        bend=reading_owns,
-        items="P4",
-        requirements="WR-004",
+    defect(
+        "MU-53p",
+        "profibus",
+        "Reading inputs parameterises the slave and exchanges data with it, also with writes disabled.",
+        reading_owns,
+        "P4",
+        "WR-004",
     ),
 )

@@ -13,9 +13,9 @@ from ..modbus.shapes import Registers, WriteRegister
 from ..mqtt import tools as mqtt_tools
 from ..opcua import tools as opcua_tools
 from ..opcua.services import Services
-from .mutant import Bend, Data, Handler, Mutant, each, failing, succeeding, wrap
+from .defect import Change, Data, Handler, around, defect, failing, succeeding, wrap
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ_HOLDING, _WRITE = "read_multiple_holding_registers", "write_register"
 _ADDRESSES = 65536
@@ -42,19 +42,14 @@ def cuts_fractions_off(server: AdapterServer) -> None:
     wrap(server, _WRITE, lambda genuine: genuine, model=Truncating)
 
 
-def begins_at_0_again(server: AdapterServer) -> None:
-    def wrapping(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            beyond = arguments.address + arguments.count > _ADDRESSES
-            data: Data = await genuine(call, arguments.model_copy(update={"address": 0}) if beyond else arguments)
-            return {**data, "address": arguments.address}
-
-        return handler
-
-    wrap(server, _READ_HOLDING, wrapping, model=Wrapping)
+@around(_READ_HOLDING, model=Wrapping)
+async def begins_at_0_again(genuine: Handler, call: Call, arguments: Any) -> Data:
+    beyond = arguments.address + arguments.count > _ADDRESSES
+    data = await genuine(call, arguments.model_copy(update={"address": 0}) if beyond else arguments)
+    return {**data, "address": arguments.address}
 
 
-def instead_of(code: str, values: Any) -> Bend:
+def instead_of(code: str, values: Any) -> Change:
     """Return the defect that reads which fail with this code succeed with other values, made from the arguments."""
 
     def answer(call: Call, arguments: Any) -> Data:
@@ -75,17 +70,12 @@ def null_in_topics(server: AdapterServer) -> None:
     mqtt_tools.check_name = lambda topic: topic if "\0" in topic else genuine(topic)
 
 
-def texts_are_true(server: AdapterServer) -> None:
-    def guessing(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            if arguments.value == "false":
-                arguments = arguments.model_copy(update={"value": bool(arguments.value)})
-            data: Data = await genuine(call, arguments)
-            return data
-
-        return handler
-
-    each("write_opcua_node", change=guessing)(server)
+@around("write_opcua_node")
+async def texts_are_true(genuine: Handler, call: Call, arguments: Any) -> Data:
+    if arguments.value == "false":
+        arguments = arguments.model_copy(update={"value": bool(arguments.value)})
+    data = await genuine(call, arguments)
+    return data
 
 
 def bad_is_good(server: AdapterServer) -> None:
@@ -104,77 +94,35 @@ def first_page(server: AdapterServer) -> None:
     Services._browse_next = nothing_follows
 
 
-MUTANTS = (
-    Mutant(
-        id="MU-10",
-        protocol="modbus",
-        sentence="40.7 is written as 40.",
-        bend=cuts_fractions_off,
-        items="FM2",
-        requirements="ADR-004",
+DEFECTS = (
+    defect("MU-10", "modbus", "40.7 is written as 40.", cuts_fractions_off, "FM2", "ADR-004"),
+    defect("MU-11", "opcua", "The text false is written as true.", texts_are_true, "FO2", "ADR-004"),
+    defect(
+        "MU-40",
+        "modbus",
+        "Registers that the device did not send are 0.",
+        instead_of("protocol_error", lambda arguments: [0] * arguments.count),
+        "FM1",
+        "RD-005",
     ),
-    Mutant(
-        id="MU-11",
-        protocol="opcua",
-        sentence="The text false is written as true.",
-        bend=texts_are_true,
-        items="FO2",
-        requirements="ADR-004",
+    defect("MU-44", "modbus", "Two registers from 65535 are 65535 and 0.", begins_at_0_again, "FM1", "RD-007"),
+    defect(
+        "MU-46",
+        "modbus",
+        "A busy device is a success without data.",
+        instead_of("device_busy", lambda arguments: []),
+        "FM1",
+        "ERR-002",
     ),
-    Mutant(
-        id="MU-40",
-        protocol="modbus",
-        sentence="Registers that the device did not send are 0.",
-        bend=instead_of("protocol_error", lambda arguments: [0] * arguments.count),
-        items="FM1",
-        requirements="RD-005",
-    ),
-    Mutant(
-        id="MU-44",
-        protocol="modbus",
-        sentence="Two registers from 65535 are 65535 and 0.",
-        bend=begins_at_0_again,
-        items="FM1",
-        requirements="RD-007",
-    ),
-    Mutant(
-        id="MU-46",
-        protocol="modbus",
-        sentence="A busy device is a success without data.",
-        bend=instead_of("device_busy", lambda arguments: []),
-        items="FM1",
-        requirements="ERR-002",
-    ),
-    Mutant(
-        id="MU-68",
-        protocol="mqtt",
-        sentence="A topic may hold U+0000.",
-        bend=null_in_topics,
-        items="FQ1",
-        requirements="ADR-006",
-    ),
-    Mutant(
-        id="MU-81",
-        protocol="opcua",
-        sentence="A value with a Bad status is a value.",
-        bend=bad_is_good,
-        items="FO1",
-        requirements="OUA-002",
-    ),
-    Mutant(
-        id="MU-84",
-        protocol="opcua",
-        sentence="Of a long list of nodes there is the first page.",
-        bend=first_page,
-        items="O2",
-        requirements="OUA-006",
-    ),
-    Mutant(
-        id="MU-93",
-        protocol="modbus",
-        sentence="A frame that is no frame ends the process.",
-        bend=failing(_READ_HOLDING, change=_end),
-        items="FM1",
-        requirements="MCP-007",
+    defect("MU-68", "mqtt", "A topic may hold U+0000.", null_in_topics, "FQ1", "ADR-006"),
+    defect("MU-81", "opcua", "A value with a Bad status is a value.", bad_is_good, "FO1", "OUA-002"),
+    defect("MU-84", "opcua", "Of a long list of nodes there is the first page.", first_page, "O2", "OUA-006"),
+    defect(
+        "MU-93",
+        "modbus",
+        "A frame that is no frame ends the process.",
+        failing(_READ_HOLDING, change=_end),
+        "FM1",
+        "MCP-007",
     ),
 )

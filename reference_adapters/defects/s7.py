@@ -8,9 +8,9 @@ from typing import Any
 from ..core import AdapterServer, Call
 from .any_protocol import guard_after_sending
 from .areas.further import module_of
-from .mutant import Data, Handler, Mutant, each, succeeding
+from .defect import Data, Handler, around, defect, succeeding
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ, _WRITE, _MARKER = "read_db_typed", "write_db", "write_marker"
 
@@ -41,47 +41,35 @@ def cut_off(server: AdapterServer) -> None:
     tools.encode = fitting
 
 
-def write_not_sent(server: AdapterServer) -> None:
-    def instead(genuine: Handler) -> Handler:
-        async def write(call: Call, arguments: Any) -> Data:
-            return {
-                "start": arguments.start_offset,
-                "type": arguments.data_type,
-                "value": arguments.value,
-                "raw": _tools().encode(arguments.value, arguments.data_type).hex(),
-            }
-
-        return write
-
-    each(_WRITE, change=instead)(server)
+@around(_WRITE)
+async def write_not_sent(genuine: Handler, call: Call, arguments: Any) -> Data:
+    return {
+        "start": arguments.start_offset,
+        "type": arguments.data_type,
+        "value": arguments.value,
+        "raw": _tools().encode(arguments.value, arguments.data_type).hex(),
+    }
 
 
 def read_modify_write(server: AdapterServer) -> None:
     read = server._tools["read_marker"]
 
-    def whole_byte(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            held = (await read.handler(call, read.model(start_byte=arguments.start_byte, size=1)))["bytes"][0]
-            mask = 1 << arguments.bit_index
-            value = held | mask if arguments.value else held & ~mask
-            changed = {"data_type": "BYTE", "bit_index": 0, "value": value}
-            data: Data = await genuine(call, arguments.model_copy(update=changed))
-            return {**data, "type": "BOOL", "value": arguments.value}
+    @around(_MARKER)
+    async def whole_byte(genuine: Handler, call: Call, arguments: Any) -> Data:
+        held = (await read.handler(call, read.model(start_byte=arguments.start_byte, size=1)))["bytes"][0]
+        mask = 1 << arguments.bit_index
+        value = held | mask if arguments.value else held & ~mask
+        changed = {"data_type": "BYTE", "bit_index": 0, "value": value}
+        data = await genuine(call, arguments.model_copy(update=changed))
+        return {**data, "type": "BOOL", "value": arguments.value}
 
-        return handler
-
-    each(_MARKER, change=whole_byte)(server)
+    whole_byte(server)
 
 
-def always_running(server: AdapterServer) -> None:
-    def constant(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            await genuine(call, arguments)
-            return {"state": "RUN"}
-
-        return handler
-
-    each("read_cpu_state", change=constant)(server)
+@around("read_cpu_state")
+async def always_running(genuine: Handler, call: Call, arguments: Any) -> Data:
+    await genuine(call, arguments)
+    return {"state": "RUN"}
 
 
 def _zero(call: Call, arguments: Any) -> Data:
@@ -89,61 +77,40 @@ def _zero(call: Call, arguments: Any) -> Data:
     return {"start": arguments.start_offset, **_tools().decode(bytes(2), "INT")}
 
 
-MUTANTS = (
-    Mutant(
-        id="MU-04k",
-        protocol="s7",
-        sentence="The bytes of every INT and DINT are swapped, in reads and writes alike.",
-        bend=little_endian,
-        items="K3 K4 FK1 FK2 FK4 SK1 SK2 SK3",
-        requirements="CON-004 ENC-001 RD-001 WR-001",
+DEFECTS = (
+    defect(
+        "MU-04k",
+        "s7",
+        "The bytes of every INT and DINT are swapped, in reads and writes alike.",
+        little_endian,
+        "K3 K4 FK1 FK2 FK4 SK1 SK2 SK3",
+        "CON-004 ENC-001 RD-001 WR-001",
     ),
-    Mutant(
-        id="MU-08k",
-        protocol="s7",
-        sentence="70000 is written as 4464, and told as a success.",
-        bend=cut_off,
-        items="FK2",
-        requirements="ADR-003",
+    defect("MU-08k", "s7", "70000 is written as 4464, and told as a success.", cut_off, "FK2", "ADR-003"),
+    defect("MU-14k", "s7", "A write succeeds, and nothing is sent.", write_not_sent, "K3 K4 FK2 SK2 SK4", "WR-001"),
+    defect(
+        "MU-20k",
+        "s7",
+        "With writes disabled the write is sent, and then denied.",
+        guard_after_sending(_WRITE),
+        "K4",
+        "WR-004",
     ),
-    Mutant(
-        id="MU-14k",
-        protocol="s7",
-        sentence="A write succeeds, and nothing is sent.",
-        bend=write_not_sent,
-        items="K3 K4 FK2 SK2 SK4",
-        requirements="WR-001",
+    defect(
+        "MU-28k",
+        "s7",
+        "A bit is written by reading its byte, changing the bit and writing the byte.",
+        read_modify_write,
+        "K5",
+        "WR-001 WR-011",
     ),
-    Mutant(
-        id="MU-20k",
-        protocol="s7",
-        sentence="With writes disabled the write is sent, and then denied.",
-        bend=guard_after_sending(_WRITE),
-        items="K4",
-        requirements="WR-004",
-    ),
-    Mutant(
-        id="MU-28k",
-        protocol="s7",
-        sentence="A bit is written by reading its byte, changing the bit and writing the byte.",
-        bend=read_modify_write,
-        items="K5",
-        requirements="WR-001 WR-011",
-    ),
-    Mutant(
-        id="MU-36k",
-        protocol="s7",
-        sentence="The CPU is in RUN, whatever the controller says.",
-        bend=always_running,
-        items="K6",
-        requirements="RD-001",
-    ),
-    Mutant(
-        id="MU-46k",
-        protocol="s7",
-        sentence="What the controller refuses to read is 0.",
-        bend=succeeding(_READ, code="access_denied", answer=_zero),
-        items="FK4",
-        requirements="RD-005",
+    defect("MU-36k", "s7", "The CPU is in RUN, whatever the controller says.", always_running, "K6", "RD-001"),
+    defect(
+        "MU-46k",
+        "s7",
+        "What the controller refuses to read is 0.",
+        succeeding(_READ, code="access_denied", answer=_zero),
+        "FK4",
+        "RD-005",
     ),
 )

@@ -11,10 +11,10 @@ from ..core import AdapterServer, Call
 from ..mqtt import payload, sparkplug_tools
 from ..mqtt.connection import Message
 from ..mqtt.edge_node import EdgeNode, Life, declared
+from .defect import Change, Data, Handler, around, defect
 from .mqtt import link_of
-from .mutant import Bend, Data, Handler, Mutant, each
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 
 def sequence_per_device(server: AdapterServer) -> None:
@@ -31,17 +31,15 @@ def sequence_per_device(server: AdapterServer) -> None:
 def never_born(server: AdapterServer) -> None:
     node = link_of(server).edge_node
 
-    def only_noting(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            metrics = declared(sparkplug_tools._checked(arguments.metrics))
-            node.life = (node.life or Life()).with_device(arguments.device_id, metrics)
-            return {"edge_node_id": node.name, "device_id": arguments.device_id, "metric_count": len(metrics), "seq": 0}
-
-        return handler
+    @around("publish_device_birth")
+    async def only_noting(genuine: Handler, call: Call, arguments: Any) -> Data:
+        metrics = declared(sparkplug_tools._checked(arguments.metrics))
+        node.life = (node.life or Life()).with_device(arguments.device_id, metrics)
+        return {"edge_node_id": node.name, "device_id": arguments.device_id, "metric_count": len(metrics), "seq": 0}
 
     # A node that is not alive is not born again with the next connection.
     EdgeNode.alive = property(lambda node: False)
-    each("publish_device_birth", change=only_noting)(server)
+    only_noting(server)
 
 
 def swapped_field_numbers(server: AdapterServer) -> None:
@@ -55,10 +53,10 @@ def no_will(server: AdapterServer) -> None:
     link_of(server)._may_write = False
 
 
-def births(change: Callable[[Message], Message]) -> Bend:
+def births(change: Callable[[Message], Message]) -> Change:
     """Return the defect that the NBIRTH is another message."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = EdgeNode.births
 
         def changed(node: EdgeNode, life: Life | None = None) -> list[Message]:
@@ -67,7 +65,7 @@ def births(change: Callable[[Message], Message]) -> Bend:
 
         EdgeNode.births = changed
 
-    return bend
+    return apply
 
 
 def birth_without_metrics(server: AdapterServer) -> None:
@@ -93,70 +91,51 @@ def constant_count(server: AdapterServer) -> None:
     EdgeNode.will = will
 
 
-MUTANTS = (
-    Mutant(
-        id="MU-70",
-        protocol="mqtt",
-        sentence="Every device counts the sequence of its own messages.",
-        bend=sequence_per_device,
-        items="Q4 S11",
-        requirements="SPB-004",
+DEFECTS = (
+    defect(
+        "MU-70",
+        "mqtt",
+        "Every device counts the sequence of its own messages.",
+        sequence_per_device,
+        "Q4 S11",
+        "SPB-004",
     ),
-    Mutant(
-        id="MU-73",
-        protocol="mqtt",
-        sentence="A device's data are published, its birth never.",
-        bend=never_born,
-        items="Q4",
-        requirements="SPB-003",
+    defect("MU-73", "mqtt", "A device's data are published, its birth never.", never_born, "Q4", "SPB-003"),
+    defect(
+        "MU-74",
+        "mqtt",
+        "The field numbers of Float and Double values are swapped.",
+        swapped_field_numbers,
+        "Q4 S11",
+        "SPB-001",
     ),
-    Mutant(
-        id="MU-74",
-        protocol="mqtt",
-        sentence="The field numbers of Float and Double values are swapped.",
-        bend=swapped_field_numbers,
-        items="Q4 S11",
-        requirements="SPB-001",
-    ),
-    Mutant(
-        id="MU-76",
-        protocol="mqtt",
-        sentence="CONNECT carries no will.",
-        bend=no_will,
-        items="Q4 S11",
-        requirements="SPB-006",
-    ),
-    Mutant(
-        id="MU-76b",
-        protocol="mqtt",
-        sentence="bdSeq is the same with every connection.",
-        bend=constant_count,
-        items="S11 R-mqtt",
-        requirements="SPB-006",
+    defect("MU-76", "mqtt", "CONNECT carries no will.", no_will, "Q4 S11", "SPB-006"),
+    defect(
+        "MU-76b",
+        "mqtt",
+        "bdSeq is the same with every connection.",
+        constant_count,
+        "S11 R-mqtt",
+        "SPB-006",
         recovers=True,
     ),
-    Mutant(
-        id="MU-77",
-        protocol="mqtt",
-        sentence="NBIRTH is published with QoS 1.",
-        bend=births(lambda birth: replace(birth, qos=1)),
-        items="Q4 S11",
-        requirements="SPB-002",
+    defect(
+        "MU-77",
+        "mqtt",
+        "NBIRTH is published with QoS 1.",
+        births(lambda birth: replace(birth, qos=1)),
+        "Q4 S11",
+        "SPB-002",
     ),
-    Mutant(
-        id="MU-77r",
-        protocol="mqtt",
-        sentence="NBIRTH is retained.",
-        bend=births(lambda birth: replace(birth, retain=True)),
-        items="Q4 S11",
-        requirements="SPB-002",
+    defect(
+        "MU-77r", "mqtt", "NBIRTH is retained.", births(lambda birth: replace(birth, retain=True)), "Q4 S11", "SPB-002"
     ),
-    Mutant(
-        id="MU-127",
-        protocol="mqtt",
-        sentence="The birth of a device declares none of the metrics that its data carry.",
-        bend=birth_without_metrics,
-        items="Q4",
-        requirements="SPB-009",
+    defect(
+        "MU-127",
+        "mqtt",
+        "The birth of a device declares none of the metrics that its data carry.",
+        birth_without_metrics,
+        "Q4",
+        "SPB-009",
     ),
 )

@@ -18,41 +18,41 @@ from . import (
     s7,
     sparkplug,
 )
-from .mutant import Mutant, number
+from .defect import Defect, number
 
-__all__ = ["MUTANTS", "PROTOCOLS", "REPRESENTATIVE", "SAMPLE"]
+__all__ = ["DEFECTS", "PROTOCOLS", "REPRESENTATIVE", "SAMPLE"]
 
 _ALL = (
-    *modbus.MUTANTS,
-    *mqtt.MUTANTS,
-    *sparkplug.MUTANTS,
-    *opcua.MUTANTS,
-    *bacnet.MUTANTS,
-    *any_protocol.MUTANTS,
-    *claims.MUTANTS,
-    *life.MUTANTS,
-    *refusals.MUTANTS,
-    *areas.MUTANTS,
-    *s7.MUTANTS,
-    *ethernetip.MUTANTS,
-    *dnp3.MUTANTS,
-    *profibus.MUTANTS,
+    *modbus.DEFECTS,
+    *mqtt.DEFECTS,
+    *sparkplug.DEFECTS,
+    *opcua.DEFECTS,
+    *bacnet.DEFECTS,
+    *any_protocol.DEFECTS,
+    *claims.DEFECTS,
+    *life.DEFECTS,
+    *refusals.DEFECTS,
+    *areas.DEFECTS,
+    *s7.DEFECTS,
+    *ethernetip.DEFECTS,
+    *dnp3.DEFECTS,
+    *profibus.DEFECTS,
 )
 
-MUTANTS: dict[str, Mutant] = {mutant.id: mutant for mutant in sorted(_ALL, key=lambda one: number(one.id))}
+DEFECTS: dict[str, Defect] = {defect.id: defect for defect in sorted(_ALL, key=lambda one: number(one.id))}
 """In the order of the catalogue."""
 
-assert len(MUTANTS) == len(_ALL), "an id is there twice"
+assert len(DEFECTS) == len(_ALL), "an id is there twice"
 
-PROTOCOLS = frozenset(mutant.protocol for mutant in _ALL)
+PROTOCOLS = frozenset(defect.protocol for defect in _ALL)
 
 
 _FURTHER = {
-    mutant.protocol for mutant in (*s7.MUTANTS, *bacnet.MUTANTS, *ethernetip.MUTANTS, *dnp3.MUTANTS, *profibus.MUTANTS)
+    defect.protocol for defect in (*s7.DEFECTS, *bacnet.DEFECTS, *ethernetip.DEFECTS, *dnp3.DEFECTS, *profibus.DEFECTS)
 }
 """Protocols whose adapters need a library that is an extra; their defects stand for a row only where no other does."""
 
-_BY_PREFERENCE = sorted(MUTANTS.values(), key=lambda one: one.protocol in _FURTHER)
+_BY_PREFERENCE = sorted(DEFECTS.values(), key=lambda one: one.protocol in _FURTHER)
 
 
 def _first_of_their_kind() -> frozenset[str]:
@@ -60,11 +60,11 @@ def _first_of_their_kind() -> frozenset[str]:
     requirement that findings cite."""
     seen: set[object] = set()
     found = []
-    for mutant in _BY_PREFERENCE:
-        kinds: set[object] = {*mutant.requirements.split()}
-        kinds |= {name.partition(".")[0] for name in mutant.items.split()} if mutant.areas else {mutant.protocol}
+    for defect in _BY_PREFERENCE:
+        kinds: set[object] = {*defect.requirements.split()}
+        kinds |= {name.partition(".")[0] for name in defect.items.split()} if defect.areas else {defect.protocol}
         if not kinds <= seen:
-            found.append(mutant.id)
+            found.append(defect.id)
         seen |= kinds
     return frozenset(found)
 
@@ -75,13 +75,13 @@ REPRESENTATIVE = _first_of_their_kind()
 
 def _one_for_each_area() -> frozenset[str]:
     """Return the ids of the quick defects, and of the first defect of each area of which none is quick."""
-    quick = [mutant for mutant in MUTANTS.values() if mutant.quick]
-    seen = {mutant.areas for mutant in quick}
-    found = {mutant.id for mutant in quick}
-    for mutant in _BY_PREFERENCE:
-        if mutant.areas not in seen:
-            seen.add(mutant.areas)
-            found.add(mutant.id)
+    quick = [defect for defect in DEFECTS.values() if defect.quick]
+    seen = {defect.areas for defect in quick}
+    found = {defect.id for defect in quick}
+    for defect in _BY_PREFERENCE:
+        if defect.areas not in seen:
+            seen.add(defect.areas)
+            found.add(defect.id)
     return frozenset(found)
 
 

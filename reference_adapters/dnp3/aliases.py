@@ -12,8 +12,9 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from ..core import Named
 from .commands import AnalogType
 from .shapes import LAST_ADDRESS
 
@@ -23,17 +24,13 @@ PointType = Literal["binary_input", "binary_output", "counter", "analog_input", 
 _WRITABLE = ("binary_output", "analog_output", "octet_string")
 
 
-class Alias(BaseModel):
+class Alias(Named):
     """One named point."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
     outstation_address: int = Field(ge=0, le=LAST_ADDRESS)
     point_type: PointType
     index: int = Field(ge=0, le=65535)
     data_type: AnalogType | None = None
-    unit: str | None = None
-    writable: bool = False
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:

@@ -11,8 +11,7 @@ from typing import Literal
 
 from dnp3.application.fragment import ObjectBlock
 
-from ..core import AdapterError
-from .objects import BadReply
+from ..core import AdapterError, BadReply
 
 __all__ = [
     "ON_CODES",

@@ -22,9 +22,10 @@ from dnp3.transport.reassembler import Reassembler, ReassemblyError
 from dnp3.transport.segment import TransportSegment
 from dnp3.transport.segmenter import Segmenter
 
-from .objects import BadReply, Point, points_of
+from ..core import BadReply, Lost
+from .objects import Point, points_of
 
-__all__ = ["Connection", "Lost", "Response"]
+__all__ = ["Connection", "Response"]
 
 _LARGEST_FRAGMENT = 65536
 _MOST_FRAGMENTS = 100
@@ -35,10 +36,6 @@ log = logging.getLogger(__name__)
 
 Keep = Callable[[int, list[Point]], bool]
 """Takes points that an outstation tells as events, with its address; False where there is no room for them."""
-
-
-class Lost(Exception):
-    """The connection ended before any byte of the answer had come."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,9 +17,9 @@ from dnp3.objects.base import DNP3Object
 from dnp3.objects.layout import PointKind, TimeKind, ValueCodec, WireLayout, layout_for
 from dnp3.objects.registry import register
 
-from ..core import special_name
+from ..core import BadReply, special_name
 
-__all__ = ["BadReply", "Point", "flag_names", "points_of", "range_request"]
+__all__ = ["Point", "flag_names", "points_of", "range_request"]
 
 _STARTS = {RangeCode.UINT8_START_STOP: 1, RangeCode.UINT16_START_STOP: 2, RangeCode.UINT32_START_STOP: 4}
 _COUNTS = {RangeCode.UINT8_COUNT: 1, RangeCode.UINT16_COUNT: 2, RangeCode.UINT32_COUNT: 4}
@@ -52,10 +52,6 @@ class TimeAndInterval(DNP3Object):
 
 
 PlainValue = bool | int | float | str | None
-
-
-class BadReply(Exception):
-    """The bytes are not the answer to the request; the text says in which respect."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

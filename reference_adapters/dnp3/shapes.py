@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
-from ..core import LEFT_OUT, AdapterError, Arguments, BoundsCode
+from ..core import LEFT_OUT, AdapterError, AliasName, Arguments, BoundsCode
 from .commands import ON_CODES, ControlName
 
 LAST_ADDRESS = 65519
@@ -30,10 +30,6 @@ _PULSES = ("pulse_on", "pulse_off", "trip", "close")
 
 
 # -- arguments ----------------------------------------------------------------------------------------------
-
-
-class Nothing(Arguments):
-    """No arguments."""
 
 
 class PointRange(Arguments):
@@ -95,12 +91,6 @@ class WriteBinaryOutput(Arguments):
     def control(self) -> ControlName:
         """The control code that is meant."""
         return self.code or ("latch_on" if self.value else "latch_off")
-
-
-class AliasName(Arguments):
-    """An alias of the alias map."""
-
-    alias: Annotated[str, Field(min_length=1, max_length=200, description="a name of the alias map")]
 
 
 class WriteAlias(AliasName):

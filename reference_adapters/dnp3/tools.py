@@ -8,20 +8,18 @@ from typing import Any
 from dnp3.core.enums import FunctionCode
 from dnp3.core.flags import IIN
 
-from ..core import AdapterError, Call, device_text, tool
+from ..core import AdapterError, AliasName, BadReply, Call, NameMap, Nothing, device_text, tool
 from .aliases import Alias
 from .commands import ANALOG_VARIATIONS, AnalogType, binary_command, echoed_status, octets_written
 from .connection import Response
 from .conversions import command_for, entry, exactly, holds, shown, text
 from .link import Link
-from .objects import BadReply, Point, range_request
+from .objects import Point, range_request
 from .refusals import command_refused, status_name
 from .shapes import (
     AliasList,
-    AliasName,
     AliasValue,
     AliasWritten,
-    Nothing,
     PointRange,
     Points,
     PollClass,
@@ -61,7 +59,7 @@ class Tools:
     def __init__(self, link: Link, *, outstation: int, aliases: Mapping[str, Alias], direct_operate: bool) -> None:
         self._link = link
         self._outstation = outstation
-        self._aliases = aliases
+        self._aliases = NameMap(aliases, kind="alias", argument="alias", listed_by="list_points")
         self._direct_operate = direct_operate
 
     # -- reading ------------------------------------------------------------------------------------------
@@ -105,7 +103,7 @@ class Tools:
     @tool("dnp3.read_alias")
     async def read_point_by_alias(self, call: Call, arguments: AliasName) -> AliasValue:
         """Read the point that an alias of the alias map stands for."""
-        alias = self._known_alias(arguments.alias)
+        alias = self._aliases.known(arguments.alias)
         response = await self._ask(
             call, alias.outstation_address, alias.point_type, alias.index, data_type=alias.data_type
         )
@@ -197,9 +195,7 @@ class Tools:
     async def write_point_by_alias(self, call: Call, arguments: WriteAlias) -> AliasWritten:
         """Write the point that an alias of the alias map stands for: an output is selected, operated once and read, an octet string
         written and read."""
-        alias, value = self._known_alias(arguments.alias), arguments.value
-        if not alias.writable:
-            raise AdapterError("not_writable", "the alias map does not allow writing this alias", outcome="not_sent")
+        alias, value = self._aliases.writable(arguments.alias), arguments.value
         status = None
         place = f"{alias.outstation_address}/{alias.point_type}/{alias.index}"
         if alias.point_type == "octet_string":
@@ -277,12 +273,6 @@ class Tools:
             details = {"state": point.value, "flags": list(point.flags or ())}
             raise AdapterError("verify_failed", message, outcome="applied", details=details)
         return point
-
-    def _known_alias(self, name: str) -> Alias:
-        if name not in self._aliases:
-            message = "the alias map has no such alias; list_points lists them"
-            raise AdapterError("illegal_address", message, field="/alias", outcome="not_sent")
-        return self._aliases[name]
 
 
 def _restore(call: Call, trace: Mapping[str, Any]) -> None:

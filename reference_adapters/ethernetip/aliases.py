@@ -9,18 +9,13 @@ The type is the controller's. An alias can be written where it says so.
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
-
+from ..core import Named
 from .shapes import TagName
 
 __all__ = ["Alias"]
 
 
-class Alias(BaseModel):
+class Alias(Named):
     """One named tag."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
     tag: TagName
-    unit: str | None = None
-    writable: bool = False

@@ -6,7 +6,8 @@ import asyncio
 from dataclasses import dataclass
 from typing import Any
 
-from .wire import HEADER, BadReply, connected_message, header_of
+from ..core import BadReply
+from .wire import HEADER, connected_message, header_of
 
 __all__ = ["SEND_RR_DATA", "Connection", "Refused", "answer", "next_frame"]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import struct
 from datetime import UTC, datetime, timedelta
 
-from ..core import AdapterError, Call, device_text, tool
+from ..core import AdapterError, BadReply, Call, Nothing, device_text, tool
 from .codec import type_name
 from .link import Link
 from .refusals import refusal
-from .shapes import ClockTime, Connected, ListedTag, Nothing, PlcInfo, PlcTime, Reachable, TagList, TagListOf
-from .wire import PARTLY, SUCCESS, BadReply, attribute_of
+from .shapes import ClockTime, Connected, ListedTag, PlcInfo, PlcTime, Reachable, TagList, TagListOf
+from .wire import PARTLY, SUCCESS, attribute_of
 
 __all__ = ["Controller"]
 

@@ -1,4 +1,4 @@
-"""The connection to the controller: made on demand, one exchange at a time, no write ever sent twice.
+"""The connection to the controller.
 
 pylogix waits with blocking sockets, and for ever when a controller closes the connection within an answer; it neither looks at the
 sequence count of an answer nor lets a call end at its deadline, and it sends what does not fit as several requests. So its frames are
@@ -13,7 +13,7 @@ import struct
 
 from pylogix import PLC
 
-from ..core import AdapterError, Call, resolve
+from ..core import AdapterError, BadReply, Call, DeviceLink
 from .connection import SEND_RR_DATA, Connection, Refused, answer, next_frame
 from .refusals import encapsulation_refusal, open_refusal, refusal
 from .wire import (
@@ -23,7 +23,6 @@ from .wire import (
     REGISTER,
     SOME_FAILED,
     SUCCESS,
-    BadReply,
     Reply,
     parts_of,
     reply_of,
@@ -41,11 +40,7 @@ _SEQUENCE = 2
 _FAREWELL_S = 0.5
 
 
-class _Lost(Exception):
-    """The connection ended before the answer had come."""
-
-
-class Link:
+class Link(DeviceLink[Connection]):
     """One connection at a time to a controller.
 
     Args:
@@ -57,20 +52,18 @@ class Link:
         builder: pylogix's controller, which builds paths and requests; it is never connected.
     """
 
+    peer = "controller"
+    failures = (EOFError, Refused)
+
     def __init__(self, host: str, port: int, slot: int, timeout_s: float) -> None:
+        super().__init__(host, port, timeout_s)
         self.builder = PLC(host, slot, port=port)
         self._frames = self.builder.conn
         self._frames.Socket.close()
         self._frames.msg_socket.close()
         # A controller knows a connection by its serial numbers, and pylogix's originator is always 42.
         self._frames._originator_serial = secrets.randbits(32)
-        self._host = host
-        self._port = port
         self._slot = slot
-        self._timeout_s = timeout_s
-        self._lock = asyncio.Lock()
-        self._connection: Connection | None = None
-        self._generation = 0
 
     @property
     def size(self) -> int:
@@ -82,9 +75,6 @@ class Link:
     ) -> Reply:
         """Send a request and return its answer, after checking that it is the answer to this request.
 
-        A read that finds the connection dead is repeated once over a new one. A write is not: once its bytes may have left, only
-        the controller knows whether it was executed.
-
         Args:
             tag: the first one that the request is about.
             changes_state: False for a question of a writing tool.
@@ -93,16 +83,7 @@ class Link:
             AdapterError: no connection, no answer, or another answer than the request's.
         """
         facts = {"service": request[0], **({} if tag is None else {"tag": tag})}
-        async with self._lock:
-            try:
-                try:
-                    return await self._attempt(call, request, facts, changes_state)
-                except _Lost:
-                    if call.sent:
-                        raise
-                    return await self._attempt(call, request, facts, changes_state)
-            except _Lost:
-                raise AdapterError("connection_lost", "the connection broke during the call") from None
+        return await self.perform(call, lambda connection: self._sent(connection, call, request, facts, changes_state))
 
     async def ask(self, call: Call, request: bytes, *, tag: str | None = None, changes_state: bool = True) -> Reply:
         """Send a request and return its answer, which is a success.
@@ -131,8 +112,9 @@ class Link:
         except BadReply as fault:
             raise AdapterError("protocol_error", f"the answer is not the one to the request: {fault}") from None
 
-    async def _attempt(self, call: Call, request: bytes, facts: dict[str, object], changes_state: bool) -> Reply:
-        connection = await self._connected(call)
+    async def _sent(
+        self, connection: Connection, call: Call, request: bytes, facts: dict[str, object], changes_state: bool
+    ) -> Reply:
         if len(request) + _SEQUENCE > connection.size:
             message = f"the connection takes messages of up to {connection.size} bytes; ask for less at once"
             raise AdapterError("limit_exceeded", message, outcome="not_sent" if call.writes else "not_applicable")
@@ -141,57 +123,34 @@ class Link:
         call.trace.update(facts)
         call.trace.setdefault("sequences", []).append(sequence)
         call.sending(changes_state=changes_state)
-        try:
-            async with asyncio.timeout(self._timeout_s):
-                reply = reply_of(request[0], await answer(connection, frame, sequence))
-        except (OSError, EOFError, TimeoutError, BadReply, Refused, asyncio.CancelledError) as error:
-            # A late answer to this request must not be taken for the answer to the next one.
-            self._drop()
-            call.disconnected()
-            if isinstance(error, asyncio.CancelledError):
-                raise
-            raise self._explained(call, error) from None
-        call.answered()
-        return reply
+        connection.used = asyncio.get_running_loop().time()
+        async with asyncio.timeout(self._timeout_s):
+            return reply_of(request[0], await answer(connection, frame, sequence))
 
-    def _explained(self, call: Call, error: Exception) -> Exception:
-        if isinstance(error, TimeoutError):
-            return AdapterError("timeout", f"the controller did not answer within {self._timeout_s:g} s")
+    def _explained(self, call: Call, connection: Connection, error: Exception) -> Exception:
         if isinstance(error, Refused):
             call.answered()
             return encapsulation_refusal(call, error.status)
-        if isinstance(error, OSError | EOFError):
-            return _Lost()
-        return AdapterError("protocol_error", f"the answer is not the one to the request: {error}")
+        return super()._explained(call, connection, error)
 
     # -- connecting ---------------------------------------------------------------------------------------
 
-    async def _connected(self, call: Call) -> Connection:
-        existing = self._connection
-        if existing is not None and not existing.is_used_up():
-            existing.used = asyncio.get_running_loop().time()
-            call.connection(generation=self._generation, fresh=False)
-            return existing
-        self._drop()
-        call.disconnected()
-        await resolve(self._host, self._port)
-        made: Connection | None = None
+    async def _open(self) -> Connection:
+        connection = Connection(*await asyncio.open_connection(self._host, self._port))
         try:
-            async with asyncio.timeout(self._timeout_s):
-                made = Connection(*await asyncio.open_connection(self._host, self._port))
-                await self._register(made)
-                await self._open(made)
-        except (OSError, EOFError, TimeoutError, BadReply, Refused):
-            message = f"no connection to {self._host}:{self._port}; is the controller on, and is the address right?"
-            raise AdapterError("connect_failed", message, outcome="not_sent") from None
-        finally:
-            if made is not None and not made.size:
-                made.abort()
-        made.used = asyncio.get_running_loop().time()
-        self._connection = made
-        self._generation += 1
-        call.connection(generation=self._generation, fresh=True)
-        return made
+            await self._register(connection)
+            await self._forward_open(connection)
+        except BaseException:
+            connection.abort()
+            raise
+        connection.used = asyncio.get_running_loop().time()
+        return connection
+
+    def _is_usable(self, connection: Connection) -> bool:
+        return not connection.is_used_up()
+
+    def _end(self, connection: Connection) -> None:
+        connection.abort()
 
     async def _register(self, connection: Connection) -> None:
         """Register a session."""
@@ -200,7 +159,7 @@ class Link:
         connection.session, _ = await next_frame(connection, REGISTER)
         self._frames._session_handle = connection.session
 
-    async def _open(self, connection: Connection) -> None:
+    async def _forward_open(self, connection: Connection) -> None:
         """Open a CIP connection to the controller: a large one or, where it has none, one of the usual size.
 
         Raises:
@@ -219,15 +178,10 @@ class Link:
         self._frames._ot_connection_id, connection.answers = struct.unpack_from("<II", reply.data)
         connection.size = size
 
-    def _drop(self) -> None:
-        connection, self._connection = self._connection, None
-        if connection is not None:
-            connection.abort()
-
     async def close(self) -> None:
         """Close the CIP connection and the session: a controller has few, and keeps those that nobody closes."""
         connection = self._connection
-        if connection is not None and not self._lock.locked() and not connection.is_used_up():
+        if connection is not None and not self._turn.locked() and not connection.is_used_up():
             try:
                 async with asyncio.timeout(_FAREWELL_S):
                     connection.writer.write(self._frames._build_forward_close_packet())
@@ -236,6 +190,6 @@ class Link:
                     await connection.writer.drain()
                     connection.writer.close()
                     await connection.writer.wait_closed()
-            except (OSError, EOFError, TimeoutError, BadReply, Refused):
+            except (OSError, EOFError, BadReply, Refused):
                 pass
-        self._drop()
+        await super().close()

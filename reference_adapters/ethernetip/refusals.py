@@ -72,7 +72,7 @@ def encapsulation_refusal(call: Call, status: int) -> AdapterError:
 
 def _error(call: Call, known: tuple[str, str, str], shown: str) -> AdapterError:
     code, outcome, meaning = known
-    if call.writes and not call.sent:
+    if call.writes and not call.writes_sent:
         # What was refused is a question before the write.
         outcome = "not_sent"
     return AdapterError(code, f"{meaning} ({shown})", outcome=outcome if call.writes else "not_applicable")

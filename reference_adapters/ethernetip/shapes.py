@@ -45,10 +45,6 @@ WantedType = Annotated[
 ]
 
 
-class Nothing(Arguments):
-    """No arguments."""
-
-
 class OneTag(Arguments):
     """A tag."""
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
-from ..core import AdapterError, Call, device_text, exact_in_json, tool
+from ..core import AdapterError, Call, NameMap, Nothing, device_text, exact_in_json, tool
 from .aliases import Alias
 from .codec import DataType, Plain, TagType, Value, decode, encode, tag_type
 from .controller import Controller
@@ -19,7 +19,6 @@ from .shapes import (
     AliasWritten,
     Elements,
     ElementsWritten,
-    Nothing,
     OneAlias,
     OneTag,
     ReadArray,
@@ -86,7 +85,7 @@ class Tools(Controller):
 
     def __init__(self, link: Link, *, aliases: Mapping[str, Alias], control_enabled: bool) -> None:
         super().__init__(link, control_enabled=control_enabled)
-        self._aliases = aliases
+        self._aliases = NameMap(aliases, kind="alias", argument="alias", listed_by="list_tags")
         self._types: dict[str, TagType] = {}
 
     # -- reading ------------------------------------------------------------------------------------------
@@ -148,7 +147,7 @@ class Tools(Controller):
     @tool("ethernetip.read_alias")
     async def read_tag_by_alias(self, call: Call, arguments: OneAlias) -> AliasValue:
         """Read the value of an alias's tag."""
-        alias = self._known_alias(arguments.alias)
+        alias = self._aliases.known(arguments.alias)
         return {"alias": arguments.alias, "unit": alias.unit, **await self._value(call, alias.tag)}
 
     # -- writing ------------------------------------------------------------------------------------------
@@ -206,9 +205,7 @@ class Tools(Controller):
     @tool("ethernetip.write_alias", writes=True)
     async def write_tag_by_alias(self, call: Call, arguments: WriteAlias) -> AliasWritten:
         """Write the value of an alias's tag."""
-        alias = self._known_alias(arguments.alias)
-        if not alias.writable:
-            raise AdapterError("not_writable", "the alias map does not allow writing this tag", outcome="not_sent")
+        alias = self._aliases.writable(arguments.alias)
         written = await self._write(call, alias.tag, arguments.value)
         return {"alias": arguments.alias, "unit": alias.unit, **written}
 
@@ -336,12 +333,6 @@ class Tools(Controller):
     def _path(self, target: _Target) -> bytes:
         """Return the path of a tag. The type given to pylogix only has to be none of an array of BOOL, whose index it divides."""
         return bytes(self._link.builder._build_ioi(target.name, _ANY_TYPE))
-
-    def _known_alias(self, name: str) -> Alias:
-        if name not in self._aliases:
-            message = "the alias map has no such alias; list_tags lists them"
-            raise AdapterError("illegal_address", message, field="/alias", outcome="not_sent")
-        return self._aliases[name]
 
 
 _ANY_TYPE = 0xC4

@@ -10,6 +10,8 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..core import BadReply
+
 __all__ = [
     "FORWARD_OPEN",
     "HEADER",
@@ -21,7 +23,6 @@ __all__ = [
     "SOME_FAILED",
     "SUCCESS",
     "WRITE",
-    "BadReply",
     "Reply",
     "attribute_of",
     "connected_message",
@@ -47,10 +48,6 @@ HEADER = 24
 """Bytes of the encapsulation header, whose bytes 2 and 3 are the length of what follows."""
 _CONNECTED_ADDRESS, _CONNECTED_DATA = 0xA1, 0xB1
 _NULL_ADDRESS, _UNCONNECTED_DATA = 0x00, 0xB2
-
-
-class BadReply(Exception):
-    """The bytes are not the answer to the request; the text says in which respect."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

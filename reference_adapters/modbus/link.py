@@ -1,7 +1,7 @@
-"""The connection to the device: made on demand, one exchange at a time, no write ever sent twice.
+"""The connection to the device.
 
-By default pymodbus sends a write again three times and reconnects by itself. Here ``retries`` and ``reconnect_delay`` are 0,
-and :meth:`Link.exchange` makes both decisions, because it knows whether bytes have left.
+By default pymodbus sends a write again three times and reconnects by itself. Here ``retries`` and ``reconnect_delay`` are 0, and
+:class:`~..core.DeviceLink` makes both decisions, because it knows whether bytes have left.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 
-from ..core import AdapterError, Call, resolve
-from .wire import BadReply, Frame, is_other_reply, reply_pdu, request_facts
+from ..core import AdapterError, Call, DeviceLink, Lost
+from .wire import Frame, is_other_reply, reply_pdu, request_facts
 
 __all__ = ["Link", "Send"]
 
@@ -32,10 +32,6 @@ _EXCEPTIONS = {
     10: ("gateway_path_unavailable", "rejected", "the gateway has no path to the unit"),
     11: ("gateway_target_no_response", "unknown", "the unit behind the gateway did not respond"),
 }
-
-
-class _ConnectionDied(Exception):
-    """The connection ended before any byte of the reply had come."""
 
 
 class _Connection:
@@ -109,96 +105,42 @@ class _Connection:
         return pdu
 
 
-class Link:
-    """One TCP connection at a time to a Modbus device or gateway.
+class Link(DeviceLink[_Connection]):
+    """One TCP connection at a time to a Modbus device or gateway."""
 
-    Args:
-        host, port: address of the device.
-        timeout_s: seconds for connecting, and for each exchange.
-    """
-
-    def __init__(self, host: str, port: int, timeout_s: float) -> None:
-        self._host = host
-        self._port = port
-        self._timeout_s = timeout_s
-        self._lock = asyncio.Lock()
-        self._connection: _Connection | None = None
-        self._generation = 0
+    failures = (ModbusException,)
 
     async def exchange(self, call: Call, send: Send) -> ModbusPDU:
         """Send one request and return its reply, after checking that the reply belongs to this request.
 
-        A read that finds the connection dead is repeated once over a new one. A write is not: once its bytes may have
-        left, only the device knows whether it was executed.
-
         Raises:
             AdapterError: no connection, no reply, a reply that does not belong to the request, or an exception reply.
         """
-        async with self._lock:
-            try:
-                try:
-                    return await self._attempt(call, send)
-                except _ConnectionDied:
-                    if call.sent:
-                        raise
-                    return await self._attempt(call, send)
-            except _ConnectionDied:
-                raise AdapterError("connection_lost", "the connection broke during the call") from None
+        return _accepted(call, await self.perform(call, lambda connection: connection.exchange(call, send)))
 
-    async def _attempt(self, call: Call, send: Send) -> ModbusPDU:
-        connection = await self._connected(call)
-        try:
-            pdu = await connection.exchange(call, send)
-        except (ModbusException, TimeoutError, BadReply, asyncio.CancelledError) as error:
-            # A late reply to this request must not be taken for the reply to the next one.
-            self._drop()
-            call.disconnected()
-            if isinstance(error, asyncio.CancelledError):
-                raise
-            raise self._explained(connection, error) from None
-        call.answered()
-        return _accepted(call, pdu)
+    def _explained(self, call: Call, connection: _Connection, error: Exception) -> Exception:
+        if isinstance(error, OSError | ModbusException):
+            if connection.received:
+                return AdapterError("protocol_error", "what the device sent is no valid reply to the request")
+            # pymodbus raises the same for silence and for the end of a connection.
+            error = Lost() if connection.lost else TimeoutError()
+        return super()._explained(call, connection, error)
 
-    def _explained(self, connection: _Connection, error: Exception) -> Exception:
-        if isinstance(error, BadReply):
-            return AdapterError("protocol_error", f"the reply is not the one to the request: {error}")
-        if connection.received:
-            return AdapterError("protocol_error", "what the device sent is no valid reply to the request")
-        if connection.lost:
-            return _ConnectionDied()
-        return AdapterError("timeout", f"the device did not reply within {self._timeout_s:g} s")
-
-    async def _connected(self, call: Call) -> _Connection:
-        existing = self._connection
-        if existing is not None and existing.client.connected and not existing.lost:
-            call.connection(generation=self._generation, fresh=False)
-            return existing
-        self._drop()
-        call.disconnected()
-        await resolve(self._host, self._port)
+    async def _open(self) -> _Connection:
         connection = _Connection(self._host, self._port, self._timeout_s)
         try:
-            made = await connection.client.connect()
-        except asyncio.CancelledError:
+            if await connection.client.connect():
+                return connection
+            raise ConnectionError
+        except BaseException:
             connection.client.close()
             raise
-        if not made:
-            connection.client.close()
-            message = f"no connection to {self._host}:{self._port}; is the device on, and is the address right?"
-            raise AdapterError("connect_failed", message, outcome="not_sent")
-        self._connection = connection
-        self._generation += 1
-        call.connection(generation=self._generation, fresh=True)
-        return connection
 
-    def _drop(self) -> None:
-        connection, self._connection = self._connection, None
-        if connection is not None:
-            connection.client.close()
+    def _is_usable(self, connection: _Connection) -> bool:
+        return connection.client.connected and not connection.lost
 
-    async def close(self) -> None:
-        """Close the connection."""
-        self._drop()
+    def _end(self, connection: _Connection) -> None:
+        connection.client.close()
 
 
 def _accepted(call: Call, pdu: ModbusPDU) -> ModbusPDU:

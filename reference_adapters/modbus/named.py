@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from ..core import AdapterServer, Arguments, Call, tool
+from ..core import AdapterServer, Arguments, Call, Nothing, tool
 from .adapter import build as build_adapter
-from .shapes import Nothing, Reachable, Unit, WriteCoil, WriteRegister
+from .shapes import Reachable, Unit, WriteCoil, WriteRegister
 from .tools import Tools
 
 __all__ = ["NamedTools", "build"]

@@ -36,10 +36,6 @@ def _within(address: int, count: int, field: str) -> None:
 # -- arguments ----------------------------------------------------------------------------------------------
 
 
-class Nothing(Arguments):
-    """No arguments."""
-
-
 class Unit(Arguments):
     """Which device behind the connection."""
 

@@ -14,18 +14,16 @@ from __future__ import annotations
 from decimal import ROUND_HALF_UP, Decimal
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from ..core import EXACT_IN_JSON, AdapterError
+from ..core import EXACT_IN_JSON, AdapterError, Named
 from .codec import DataType, Order, width
 
 __all__ = ["Tag", "engineering_value", "raw_value"]
 
 
-class Tag(BaseModel):
+class Tag(Named):
     """One named value."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
     table: Literal["holding", "input"] = "holding"
     address: int = Field(ge=0, le=65535)
@@ -33,8 +31,6 @@ class Tag(BaseModel):
     order: Order = "ABCD"
     scale: float = 1.0
     offset: float = 0.0
-    unit: str | None = None
-    writable: bool = False
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:

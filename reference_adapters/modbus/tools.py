@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu import ModbusPDU
 
-from ..core import AdapterError, Call, device_text, tool
+from ..core import AdapterError, Call, NameMap, Nothing, device_text, tool
 from .codec import decode, encode, width
 from .link import Link
 from .shapes import (
@@ -19,7 +19,6 @@ from .shapes import (
     Identification,
     Masked,
     MaskWrite,
-    Nothing,
     Reachable,
     Registers,
     RegisterValue,
@@ -60,7 +59,7 @@ class Tools:
     def __init__(self, link: Link, *, default_unit: int, tags: Mapping[str, Tag]) -> None:
         self._link = link
         self._default_unit = default_unit
-        self._tags = tags
+        self._tags = NameMap(tags, kind="tag", argument="tag", listed_by="list_tags")
 
     # -- reading ------------------------------------------------------------------------------------------
 
@@ -146,7 +145,7 @@ class Tools:
     @tool("modbus.read_tag")
     async def read_tag(self, call: Call, arguments: TagName) -> TagValue:
         """Read a tag's engineering value."""
-        tag = self._known_tag(arguments.tag)
+        tag = self._tags.known(arguments.tag)
         read = self._inputs if tag.table == "input" else self._holding
         reading = decode(await read(call, Unit(), tag.address, width(tag.type)), tag.type, tag.order)
         reading["value"] = engineering_value(tag, reading["value"])
@@ -205,9 +204,7 @@ class Tools:
     @tool("modbus.write_tag", writes=True)
     async def write_tag(self, call: Call, arguments: WriteTag) -> TagWritten:
         """Write a tag's engineering value, rounded to the nearest raw value."""
-        tag = self._known_tag(arguments.tag)
-        if not tag.writable:
-            raise AdapterError("not_writable", "the tag map does not allow writing this tag", outcome="not_sent")
+        tag = self._tags.writable(arguments.tag)
         raw = raw_value(tag, arguments.value)
         await self._write_block(call, Unit(), tag.address, encode(raw, tag.type, tag.order))
         return {"tag": arguments.tag, "value": arguments.value, "raw": raw, "unit": tag.unit}
@@ -248,12 +245,6 @@ class Tools:
         await self._exchange(
             call, arguments, lambda client, unit: client.write_registers(address, values, device_id=unit)
         )
-
-    def _known_tag(self, name: str) -> Tag:
-        if name not in self._tags:
-            message = "the tag map has no such tag; list_tags lists them"
-            raise AdapterError("illegal_address", message, field="/tag", outcome="not_sent")
-        return self._tags[name]
 
 
 async def _in_blocks(read: Read, call: Call, arguments: Registers) -> list[int]:

@@ -12,15 +12,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["BadReply", "Frame", "is_other_reply", "reply_pdu", "request_facts"]
+from ..core import BadReply
+
+__all__ = ["Frame", "is_other_reply", "reply_pdu", "request_facts"]
 
 _HEADER = struct.Struct(">HHHB")
 _EXCEPTION_BIT = 0x80
 _ENCAPSULATED = 0x2B
-
-
-class BadReply(Exception):
-    """The received bytes are not the reply to the request; the text says in which respect."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,9 +26,9 @@ import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode
 
-from ..core import AdapterError
+from ..core import AdapterError, Lost
 
-__all__ = ["Connection", "ConnectionLostError", "Delivery", "Endpoint", "Message", "Will", "refusal_code"]
+__all__ = ["Connection", "Delivery", "Endpoint", "Message", "Will", "refusal_code"]
 
 # A half-open connection is detected after two of these periods.
 KEEPALIVE_S = 5
@@ -66,10 +66,6 @@ log = logging.getLogger(__name__)
 def refusal_code(reason: int, *, otherwise: str) -> str:
     """Return the error code for a reason code with which a broker refuses."""
     return _REFUSALS.get(reason, otherwise)
-
-
-class ConnectionLostError(Exception):
-    """The connection ended before the exchange was complete."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,7 +191,7 @@ class Connection:
             self._watch()
             async with asyncio.timeout(endpoint.timeout_s):
                 reason = await self._opened
-        except (OSError, ConnectionLostError) as error:
+        except (OSError, Lost) as error:
             self.abort()
             raise self._no_connection(error) from None
         except BaseException:
@@ -271,7 +267,7 @@ class Connection:
         self._settle()
         for waiting in (self._opened, *self._answers.values(), *(one.done for one in self._deliveries)):
             if waiting is not None and not waiting.done():
-                waiting.set_exception(ConnectionLostError())
+                waiting.set_exception(Lost())
                 # It is retrieved here, so that asyncio does not warn about an exception that no caller awaits.
                 waiting.exception()
         self._answers.clear()
@@ -286,7 +282,7 @@ class Connection:
     def _watch(self) -> None:
         sock = self._socket()
         if sock is None:
-            raise ConnectionLostError
+            raise Lost
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._descriptor = sock.fileno()
         self._poll.register(self._descriptor, select.POLLIN)
@@ -345,12 +341,12 @@ class Connection:
         """Hand a message to the socket at once, or fail.
 
         Raises:
-            ConnectionLostError: the connection broke.
+            Lost: the connection broke.
         """
         info = self._client.publish(message.topic, message.payload, message.qos, message.retain)
         if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:
             self.abort()
-            raise ConnectionLostError
+            raise Lost
         delivery = Delivery(info, self._loop)
         if delivery.done is not None:
             self._deliveries.append(delivery)
@@ -361,7 +357,7 @@ class Connection:
         """Wait until the messages are written (QoS 0) or acknowledged (QoS 1 and 2).
 
         Raises:
-            ConnectionLostError: the connection broke first.
+            Lost: the connection broke first.
             AdapterError: ``timeout``.
         """
         pending = [one.done for one in deliveries if one.done is not None]
@@ -386,7 +382,7 @@ class Connection:
         code, mid = request
         if code != MQTTErrorCode.MQTT_ERR_SUCCESS or mid is None:
             self.abort()
-            raise ConnectionLostError
+            raise Lost
         answer = self._answers[mid] = self._loop.create_future()
         self._flush()
         try:
@@ -404,7 +400,7 @@ class Connection:
         """Subscribe to filters with the QoS asked for; return the reason code of each: the granted QoS, or 0x80 and above.
 
         Raises:
-            ConnectionLostError: the connection broke.
+            Lost: the connection broke.
             AdapterError: ``timeout``, or ``protocol_error``: the answer is about another number of filters [MQTT-3.8.4-5].
         """
         reasons = await self._answered(self._client.subscribe(list(filters.items())))
@@ -417,7 +413,7 @@ class Connection:
         """Unsubscribe and wait for the UNSUBACK; the broker answers it for a filter that was never subscribed, too.
 
         Raises:
-            ConnectionLostError: the connection broke.
+            Lost: the connection broke.
             AdapterError: ``timeout``.
         """
         await self._answered(self._client.unsubscribe(text))

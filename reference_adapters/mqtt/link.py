@@ -15,8 +15,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
-from ..core import AdapterError, Call
-from .connection import Connection, ConnectionLostError, Endpoint, Message, refusal_code
+from ..core import AdapterError, Call, Lost, repeat_once
+from .connection import Connection, Endpoint, Message, refusal_code
 from .edge_node import EdgeNode
 from .inbox import Inbox
 from .nodes import NodeTracker
@@ -88,30 +88,24 @@ class Link:
     # -- what the tools do --------------------------------------------------------------------------------
 
     async def exchange(self, call: Call, request: Callable[[Connection], Awaitable[T]]) -> T:
-        """Make a request that the broker answers and that changes nothing; repeat it once over a new connection.
+        """Make a request that the broker answers and that changes nothing.
 
         Raises:
             AdapterError: no connection, the connection broke twice, or no answer.
         """
-        try:
-            return await self._exchange_once(call, request)
-        except ConnectionLostError:
-            pass
-        try:
-            return await self._exchange_once(call, request)
-        except ConnectionLostError:
-            raise AdapterError("connection_lost", "the connection to the broker broke during the call") from None
 
-    async def _exchange_once(self, call: Call, request: Callable[[Connection], Awaitable[T]]) -> T:
-        connection = await self._use(call)
-        call.sending(changes_state=False)
-        try:
-            result = await request(connection)
-        except (ConnectionLostError, AdapterError):
-            call.disconnected()
-            raise
-        call.answered()
-        return result
+        async def attempt() -> T:
+            connection = await self._use(call)
+            call.sending(changes_state=False)
+            try:
+                result = await request(connection)
+            except (Lost, AdapterError):
+                call.disconnected()
+                raise
+            call.answered()
+            return result
+
+        return await repeat_once(call, attempt)
 
     async def ask(self, call: Call) -> None:
         """Make the broker answer. It has then also delivered all messages that it had for this client before.
@@ -145,7 +139,7 @@ class Link:
                 call.trace.update(topic=message.topic, qos=message.qos, retain=message.retain)
                 deliveries.append(connection.send(message))
             await connection.delivered(deliveries)
-        except ConnectionLostError:
+        except Lost:
             call.disconnected()
             raise AdapterError("connection_lost", "the connection broke; the broker may have the message") from None
         except AdapterError:
@@ -245,7 +239,7 @@ class Link:
         self.generation += 1
         try:
             await self._restore(connection)
-        except ConnectionLostError:
+        except Lost:
             raise AdapterError("connect_failed", "the broker closed the connection", outcome="not_sent") from None
         self._connection = connection
         return connection
@@ -296,7 +290,7 @@ class Link:
         if connection is None or not connection.is_live():
             return
         if self.edge_node.alive:
-            with suppress(ConnectionLostError, AdapterError, TimeoutError):
+            with suppress(Lost, AdapterError, TimeoutError):
                 async with asyncio.timeout(_FAREWELL_S):
                     await connection.delivered([connection.send(self.edge_node.death())])
         await connection.close()
@@ -319,7 +313,7 @@ class Link:
             if connection is None or not connection.is_live() or not self.edge_node.alive:
                 return
             # If the connection is lost, the next one begins with births anyway.
-            with suppress(ConnectionLostError, AdapterError):
+            with suppress(Lost, AdapterError):
                 await connection.delivered([connection.send(birth) for birth in self.edge_node.births()])
 
 

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from ..core import AdapterServer, Arguments, Call, tool
+from ..core import AdapterServer, Arguments, Call, Nothing, tool
 from .adapter import build as build_adapter
-from .shapes import BrokerInfo, Nothing, Publish
+from .shapes import BrokerInfo, Publish
 from .tools import Tools
 
 __all__ = ["NamedTools", "build"]

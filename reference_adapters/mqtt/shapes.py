@@ -28,10 +28,6 @@ MetricName = Annotated[str, Field(min_length=1, max_length=500)]
 # -- arguments ----------------------------------------------------------------------------------------------
 
 
-class Nothing(Arguments):
-    """No arguments."""
-
-
 class Publish(Arguments):
     """A message."""
 

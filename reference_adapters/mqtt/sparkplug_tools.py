@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from ..core import AdapterError, Call, device_text, exact_in_json, tool
+from ..core import AdapterError, Call, Nothing, device_text, exact_in_json, tool
 from .connection import Message
 from .edge_node import Life, declared
 from .link import Link
@@ -31,7 +31,6 @@ from .shapes import (
     NodeData,
     NodeDied,
     NodePublished,
-    Nothing,
     TypedMetric,
 )
 from .topics import NAMESPACE

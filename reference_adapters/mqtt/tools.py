@@ -6,7 +6,7 @@ import base64
 import unicodedata
 from datetime import UTC, datetime
 
-from ..core import AdapterError, Call, device_text, tool
+from ..core import AdapterError, Call, Nothing, device_text, tool
 from .connection import Message
 from .inbox import Received
 from .link import Link
@@ -18,7 +18,6 @@ from .shapes import (
     Filter,
     Granted,
     Messages,
-    Nothing,
     Publish,
     Published,
     ReadMessages,

@@ -5,12 +5,10 @@ from __future__ import annotations
 from urllib.parse import urlsplit
 
 from ..core import AdapterServer, ConfigError, Environment
-from .link import Link
+from .link import DEFAULT_PORT, Link
 from .tools import Tools
 
 __all__ = ["build"]
-
-_DEFAULT_PORT = 4840
 
 
 def build() -> AdapterServer:
@@ -20,7 +18,7 @@ def build() -> AdapterServer:
         ConfigError: a setting cannot be used.
     """
     environment = Environment()
-    url = environment.text("OPCUA_URL", f"opc.tcp://127.0.0.1:{_DEFAULT_PORT}")
+    url = environment.text("OPCUA_URL", f"opc.tcp://127.0.0.1:{DEFAULT_PORT}")
     endpoint = _endpoint(url)
     link = Link(
         url,
@@ -50,7 +48,7 @@ def _endpoint(url: str) -> str:
     """
     try:
         parts = urlsplit(url)
-        host, port = parts.hostname, parts.port or _DEFAULT_PORT
+        host, port = parts.hostname, parts.port or DEFAULT_PORT
     except ValueError:
         host = None
     if not host or parts.scheme != "opc.tcp":

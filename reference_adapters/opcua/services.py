@@ -35,7 +35,7 @@ _DEEPEST_TYPE = 20
 class Services:
     """The service calls that a tool makes.
 
-    Every method may raise AdapterError, or LostError, which the link handles.
+    Every method may raise AdapterError, or what :meth:`Session.request` raises for the link.
     """
 
     def __init__(self, session: Session, call: Call) -> None:

@@ -21,10 +21,6 @@ Many = BoundsCode("limit_exceeded")
 # -- arguments ----------------------------------------------------------------------------------------------
 
 
-class Nothing(Arguments):
-    """No arguments."""
-
-
 class OneNode(Arguments):
     """One node."""
 

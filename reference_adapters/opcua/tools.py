@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from asyncua import ua
 
-from ..core import AdapterError, Call, tool
+from ..core import AdapterError, Call, Nothing, tool
 from .enumeration import find_variables
 from .link import Link, NodeFacts
 from .nodes import parse_node
@@ -19,7 +19,6 @@ from .shapes import (
     Children,
     Items,
     Nodes,
-    Nothing,
     OneNode,
     Reading,
     Variables,

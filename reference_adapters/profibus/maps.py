@@ -15,7 +15,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from ..core import ConfigError, Environment
+from ..core import ConfigError, Environment, Named
 from .codec import DataType, width
 
 __all__ = ["Alias", "Slave", "load_aliases", "load_slaves"]
@@ -99,17 +99,13 @@ def _lengths(cfg: bytes) -> tuple[int, int]:
     return inputs, outputs
 
 
-class Alias(BaseModel):
+class Alias(Named):
     """One named value."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
     slave_address: int = Field(ge=0, le=_LAST_ADDRESS)
     area: Literal["inputs", "outputs"]
     offset: int = Field(default=0, ge=0, le=243)
     data_type: DataType
-    unit: str | None = None
-    writable: bool = False
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:

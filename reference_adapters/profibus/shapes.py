@@ -7,12 +7,11 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
-from ..core import LEFT_OUT, AdapterError, Arguments, BoundsCode
+from ..core import LEFT_OUT, AdapterError, AliasName, Arguments, BoundsCode
 from .codec import Value
 from .telegram import MOST_DATA
 
 __all__ = [
-    "AliasName",
     "AliasValue",
     "Communication",
     "DiagnosisData",
@@ -21,7 +20,6 @@ __all__ = [
     "Inputs",
     "InputsOf",
     "MasterStatus",
-    "Nothing",
     "Outputs",
     "Reachable",
     "Scan",
@@ -39,10 +37,6 @@ Byte = Annotated[int, Field(ge=0, le=255)]
 
 
 # -- arguments ----------------------------------------------------------------------------------------------
-
-
-class Nothing(Arguments):
-    """No arguments."""
 
 
 class Scan(Arguments):
@@ -86,12 +80,6 @@ class GsdPath(Arguments):
     """A GSD file."""
 
     filepath: Annotated[str, Field(min_length=1, max_length=200, description="name in the folder of GSD files")]
-
-
-class AliasName(Arguments):
-    """An alias of the alias map."""
-
-    alias: Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class WriteAlias(AliasName):

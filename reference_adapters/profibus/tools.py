@@ -6,14 +6,13 @@ import asyncio
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from ..core import AdapterError, Call, device_text, tool
+from ..core import AdapterError, AliasName, Call, NameMap, Nothing, device_text, tool
 from .codec import decode, encode
 from .diagnosis import NO_MASTER, Diagnosis
 from .gsd import BadGsd, DeviceFile, parse
 from .maps import Alias, Slave
 from .master import Master
 from .shapes import (
-    AliasName,
     AliasValue,
     Communication,
     DiagnosisData,
@@ -22,7 +21,6 @@ from .shapes import (
     Inputs,
     InputsOf,
     MasterStatus,
-    Nothing,
     Outputs,
     Reachable,
     Scan,
@@ -57,7 +55,7 @@ class Tools:
         self, master: Master, *, aliases: Mapping[str, Alias], slot_s: float, baud: int, gsd_folder: Path | None
     ) -> None:
         self._master = master
-        self._aliases = aliases
+        self._aliases = NameMap(aliases, kind="alias", argument="alias", listed_by="list_slaves")
         self._slot_s = slot_s
         self._baud = baud
         self._gsd_folder = gsd_folder
@@ -198,7 +196,7 @@ class Tools:
     @tool("profibus.read_alias")
     async def read_slave_by_alias(self, call: Call, arguments: AliasName) -> AliasValue:
         """Read the value that an alias stands for: of inputs (RD_Inp), or of the outputs that the slave has now (RD_Outp)."""
-        alias = self._known_alias(arguments.alias)
+        alias = self._aliases.known(arguments.alias)
         read = self._master.inputs if alias.area == "inputs" else self._master.outputs
         content = await read(call, alias.slave_address)
         return {
@@ -248,9 +246,7 @@ class Tools:
     async def write_slave_by_alias(self, call: Call, arguments: WriteAlias) -> AliasValue:
         """Write the value that an alias stands for, as write_outputs does. The slave's other outputs stay as this master has set them; those
         of a slave that it has not driven yet are 0."""
-        alias = self._known_alias(arguments.alias)
-        if not alias.writable:
-            raise AdapterError("not_writable", "the alias map does not allow writing this alias", outcome="not_sent")
+        alias = self._aliases.writable(arguments.alias)
         content = encode(arguments.value, alias.data_type)
         call.changes((f"{alias.slave_address}.output.{alias.offset}:{alias.data_type}", arguments.value))
 
@@ -277,12 +273,6 @@ class Tools:
         if not slave.output_length:
             raise AdapterError("not_writable", "the slave has no outputs", field="/slave_address", outcome="not_sent")
         return slave
-
-    def _known_alias(self, name: str) -> Alias:
-        if name not in self._aliases:
-            message = "the alias map has no such alias; list_slaves lists them"
-            raise AdapterError("illegal_address", message, field="/alias", outcome="not_sent")
-        return self._aliases[name]
 
 
 def _master_of(found: Diagnosis) -> int | None:

@@ -7,10 +7,10 @@ from typing import Literal
 
 from snap7.error import S7Error
 
-from ..core import AdapterError, Call, device_text, tool
+from ..core import AdapterError, Call, Nothing, device_text, tool
 from .link import Link
 from .refusals import refusal
-from .shapes import Connected, CpuState, Nothing, PlcInfo, Reachable, State, StatusList, StatusRecords, SystemTime
+from .shapes import Connected, CpuState, PlcInfo, Reachable, State, StatusList, StatusRecords, SystemTime
 from .wire import SUCCESS, Reply
 
 __all__ = ["Cpu"]

@@ -1,4 +1,4 @@
-"""The connection to the controller: made on demand, one exchange at a time, no write ever sent twice.
+"""The connection to the controller.
 
 python-snap7's clients send a request again when ``auto_reconnect`` is on, writes too, cut what is longer than a PDU into several
 jobs, and take the answer with the right number for the right answer. So its connection and its PDUs are used here without them.
@@ -14,9 +14,9 @@ from snap7.async_client import AsyncISOTCPConnection
 from snap7.error import S7ConnectionError, S7Error, S7TimeoutError
 from snap7.s7protocol import S7Protocol
 
-from ..core import AdapterError, Call, resolve
+from ..core import AdapterError, BadReply, Call, DeviceLink
 from .refusals import refusal
-from .wire import BadReply, Reply, reference, reply_of, request_facts
+from .wire import Reply, reference, reply_of, request_facts
 
 __all__ = ["PDU_SIZE", "Link"]
 
@@ -30,10 +30,6 @@ _LATE = 3
 _MOST_PARTS = 100
 
 
-class _Lost(Exception):
-    """The connection ended before any byte of the answer had come."""
-
-
 class _Connection(AsyncISOTCPConnection):
     """One connection, which can be ended at once: ``disconnect`` waits until everything has been sent."""
 
@@ -45,7 +41,7 @@ class _Connection(AsyncISOTCPConnection):
             self._writer.transport.abort()
 
 
-class Link:
+class Link(DeviceLink[_Connection]):
     """One connection at a time to a controller.
 
     Args:
@@ -57,15 +53,13 @@ class Link:
         protocol: numbers and builds the requests.
     """
 
+    peer = "controller"
+    failures = (S7Error,)
+
     def __init__(self, host: str, port: int, rack: int, slot: int, timeout_s: float) -> None:
+        super().__init__(host, port, timeout_s)
         self.protocol = S7Protocol()
-        self._host = host
-        self._port = port
         self._rack, self._slot = rack, slot
-        self._timeout_s = timeout_s
-        self._lock = asyncio.Lock()
-        self._connection: _Connection | None = None
-        self._generation = 0
 
     @property
     def pdu_size(self) -> int:
@@ -75,17 +69,25 @@ class Link:
     async def exchange(self, call: Call, request: bytes, *, changes_state: bool = True) -> Reply:
         """Send a request and return its answer, after checking that it is the answer to this request.
 
-        A read that finds the connection dead is repeated once over a new one. A write is not: once its bytes may have left, only
-        the controller knows whether it was executed.
-
         Args:
             changes_state: False for a question of a writing tool.
 
         Raises:
             AdapterError: no connection, no answer, another answer than the request's, or a refusal.
         """
-        async with self._lock:
-            reply = await self._repeated(call, request, changes_state)
+
+        async def once(connection: _Connection) -> Reply:
+            if len(request) > connection.pdu_length:
+                message = f"the controller takes PDUs of up to {connection.pdu_length} bytes; ask for less at once"
+                raise AdapterError("limit_exceeded", message, outcome="not_sent" if call.writes else "not_applicable")
+            call.trace.update(request_facts(request))
+            call.trace.setdefault("references", []).append(reference(request))
+            call.sending(changes_state=changes_state)
+            call.trace["pdus"] = call.attempts
+            async with asyncio.timeout(self._timeout_s):
+                return reply_of(self.protocol, request, await _answer(connection, request))
+
+        reply = await self.perform(call, once)
         if reply.error:
             raise refusal(call, error=reply.error)
         return reply
@@ -104,73 +106,22 @@ class Link:
             replies.append(await self.exchange(call, following))
         return replies
 
-    async def _repeated(self, call: Call, request: bytes, changes_state: bool) -> Reply:
-        try:
-            try:
-                return await self._attempt(call, request, changes_state)
-            except _Lost:
-                if call.sent:
-                    raise
-                return await self._attempt(call, request, changes_state)
-        except _Lost:
-            raise AdapterError("connection_lost", "the connection broke during the call") from None
-
-    async def _attempt(self, call: Call, request: bytes, changes_state: bool) -> Reply:
-        connection = await self._connected(call)
-        if len(request) > connection.pdu_length:
-            message = f"the controller takes PDUs of up to {connection.pdu_length} bytes; ask for less at once"
-            raise AdapterError("limit_exceeded", message, outcome="not_sent" if call.writes else "not_applicable")
-        call.trace.update(request_facts(request))
-        call.trace.setdefault("references", []).append(reference(request))
-        call.sending(changes_state=changes_state)
-        call.trace["pdus"] = call.attempts
-        try:
-            async with asyncio.timeout(self._timeout_s):
-                reply = reply_of(self.protocol, request, await _answer(connection, request))
-        except (S7Error, OSError, TimeoutError, BadReply, asyncio.CancelledError) as error:
-            # A late answer to this request must not be taken for the answer to the next one.
-            self._drop()
-            call.disconnected()
-            if isinstance(error, asyncio.CancelledError):
-                raise
-            raise self._explained(error) from None
-        call.answered()
-        return reply
-
-    def _explained(self, error: Exception) -> Exception:
-        if isinstance(error, TimeoutError | S7TimeoutError):
-            return AdapterError("timeout", f"the controller did not answer within {self._timeout_s:g} s")
-        if isinstance(error, BadReply):
-            return AdapterError("protocol_error", f"the answer is not the one to the request: {error}")
+    def _explained(self, call: Call, connection: _Connection, error: Exception) -> Exception:
+        if isinstance(error, S7TimeoutError):
+            error = TimeoutError()
         # The library's words are the only sign of what came: an end of the connection, or bytes that are no TPKT.
-        if isinstance(error, S7ConnectionError) and "Invalid" in str(error):
+        elif isinstance(error, S7Error) and (not isinstance(error, S7ConnectionError) or "Invalid" in str(error)):
             return AdapterError("protocol_error", "what the controller sent is no valid answer to the request")
-        if isinstance(error, S7ConnectionError | OSError):
-            return _Lost()
-        return AdapterError("protocol_error", "what the controller sent is no valid answer to the request")
+        return super()._explained(call, connection, error)
 
-    async def _connected(self, call: Call) -> _Connection:
-        existing = self._connection
-        if existing is not None and existing.connected and not _is_used_up(existing):
-            call.connection(generation=self._generation, fresh=False)
-            return existing
-        self._drop()
-        call.disconnected()
-        await resolve(self._host, self._port)
+    async def _open(self) -> _Connection:
         connection = _Connection(self._host, self._port, remote_tsap=_CONNECTION_TYPE | self._rack << 5 | self._slot)
         try:
-            async with asyncio.timeout(self._timeout_s):
-                await connection.connect(self._timeout_s)
-                connection.pdu_length = await self._set_up(connection)
-        except (S7Error, OSError, TimeoutError, BadReply, AdapterError) as error:
-            connection.abort()
-            raise self._not_connected(error) from None
-        except asyncio.CancelledError:
+            await connection.connect(self._timeout_s)
+            connection.pdu_length = await self._set_up(connection)
+        except BaseException:
             connection.abort()
             raise
-        self._connection = connection
-        self._generation += 1
-        call.connection(generation=self._generation, fresh=True)
         return connection
 
     async def _set_up(self, connection: _Connection) -> int:
@@ -184,30 +135,22 @@ class Link:
             raise BadReply(f"a PDU of {size} bytes")
         return min(int(size), PDU_SIZE)
 
-    def _not_connected(self, error: Exception) -> AdapterError:
-        where = f"{self._host}:{self._port}"
+    def _unreachable(self, error: Exception) -> AdapterError:
         # A disconnect request in the place of the confirmation: the host is a controller, and nothing is in this slot.
         if "got 0x80" in str(error):
+            where = f"{self._host}:{self._port}"
             message = f"{where} refuses rack {self._rack}, slot {self._slot}; set S7_RACK and S7_SLOT to the CPU's"
             return AdapterError("config_error", message, outcome="not_sent")
-        message = f"no connection to {where}; is the controller on, and is the address right?"
-        return AdapterError("connect_failed", message, outcome="not_sent")
+        return super()._unreachable(error)
 
-    def _drop(self) -> None:
-        connection, self._connection = self._connection, None
-        if connection is not None:
-            connection.abort()
+    def _is_usable(self, connection: _Connection) -> bool:
+        """Tell whether the controller has neither ended the connection nor sent something that nobody had asked for: where the next answer
+        begins cannot be known then. The library would find both only by reading, when the next request has left."""
+        reader: Any = connection._reader
+        return connection.connected and reader is not None and not reader._buffer and not reader.at_eof()
 
-    async def close(self) -> None:
-        """Close the connection."""
-        self._drop()
-
-
-def _is_used_up(connection: _Connection) -> bool:
-    """Tell whether the controller has ended the connection, or has sent something that nobody had asked for: where the next answer
-    begins cannot be known then. The library would find both only by reading, when the next request has left."""
-    reader: Any = connection._reader
-    return reader is None or bool(reader._buffer) or reader.at_eof()
+    def _end(self, connection: _Connection) -> None:
+        connection.abort()
 
 
 async def _answer(connection: _Connection, request: bytes) -> bytes:

@@ -32,10 +32,6 @@ AnyValue = Annotated[
 ]
 
 
-class Nothing(Arguments):
-    """No arguments."""
-
-
 class _Typed(Arguments):
     data_type: Type
     bit_index: Bit = 0

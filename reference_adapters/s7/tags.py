@@ -9,25 +9,22 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from ..core import Named
 from .codec import DataType
 
 __all__ = ["Tag"]
 
 
-class Tag(BaseModel):
+class Tag(Named):
     """One named variable."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
     area: Literal["DB", "I", "Q", "M"] = "DB"
     db: int = Field(default=0, ge=0, le=65535)
     start: int = Field(ge=0, le=65535)
     bit: int = Field(default=0, ge=0, le=7)
     type: DataType
-    unit: str | None = None
-    writable: bool = False
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from snap7.datatypes import S7Area
 
-from ..core import AdapterError, Call, device_text, exact_in_json, tool
+from ..core import AdapterError, BadReply, Call, NameMap, Nothing, device_text, exact_in_json, tool
 from .codec import DataType, Plain, Value, decode, encode, width
 from .cpu import Cpu
 from .link import Link
@@ -15,7 +15,6 @@ from .shapes import (
     AreaBytes,
     BlockBytes,
     BlockValue,
-    Nothing,
     OneVariable,
     ReadBytes,
     ReadVariables,
@@ -33,7 +32,7 @@ from .shapes import (
     WrittenValues,
 )
 from .tags import Tag
-from .wire import SUCCESS, BadReply, Variable, items_of, read_job, write_job
+from .wire import SUCCESS, Variable, items_of, read_job, write_job
 
 __all__ = ["Tools"]
 
@@ -79,7 +78,7 @@ class Tools(Cpu):
 
     def __init__(self, link: Link, *, tags: Mapping[str, Tag], control_enabled: bool) -> None:
         super().__init__(link, control_enabled=control_enabled)
-        self._tags = tags
+        self._tags = NameMap(tags, kind="tag", argument="name", listed_by="list_tags")
 
     # -- reading ------------------------------------------------------------------------------------------
 
@@ -134,7 +133,7 @@ class Tools(Cpu):
     @tool("s7.read_tag")
     async def read_tag(self, call: Call, arguments: TagName) -> TagValue:
         """Read a tag's value."""
-        tag = self._known_tag(arguments.name)
+        tag = self._tags.known(arguments.name)
         (content,) = await self._read(call, [_value(tag.area, tag.db, tag.start, tag.type, tag.bit)])
         return {"name": arguments.name, "unit": tag.unit, **_told(call, "/data", content, tag.type)}
 
@@ -185,9 +184,7 @@ class Tools(Cpu):
     @tool("s7.write_tag", writes=True)
     async def write_tag(self, call: Call, arguments: WriteTag) -> TagWritten:
         """Write a tag's value."""
-        tag = self._known_tag(arguments.name)
-        if not tag.writable:
-            raise AdapterError("not_writable", "the tag map does not allow writing this tag", outcome="not_sent")
+        tag = self._tags.writable(arguments.name)
         content = encode(arguments.value, tag.type)
         variable = _value(tag.area, tag.db, tag.start, tag.type, tag.bit)
         await self._write(call, [variable], [content], [arguments.value])
@@ -261,12 +258,6 @@ class Tools(Cpu):
     async def _string(self, call: Call, arguments: BlockValue) -> Variable:
         size = width("STRING", await self._declared_length(call, arguments))
         return _bytes("DB", arguments.db_number, arguments.start_offset, size)
-
-    def _known_tag(self, name: str) -> Tag:
-        if name not in self._tags:
-            message = "the tag map has no such tag; list_tags lists them"
-            raise AdapterError("illegal_address", message, field="/name", outcome="not_sent")
-        return self._tags[name]
 
 
 def _of(variable: OneVariable) -> Variable:

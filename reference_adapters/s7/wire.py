@@ -14,9 +14,10 @@ from snap7.datatypes import S7Area, S7WordLen
 from snap7.error import S7Error
 from snap7.s7protocol import S7Protocol
 
+from ..core import BadReply
+
 __all__ = [
     "SUCCESS",
-    "BadReply",
     "Reply",
     "Variable",
     "items_of",
@@ -31,10 +32,6 @@ SUCCESS = 0xFF
 _HEADER = 10
 _USER_DATA = 7
 _IN_BITS = (3, 4, 5)
-
-
-class BadReply(Exception):
-    """The bytes are not the answer to the request; the text says in which respect."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

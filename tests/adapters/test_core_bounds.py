@@ -63,7 +63,7 @@ def test_a_tool_that_does_not_say_what_it_changes_may_not_write_while_there_are_
     call.sending(changes_state=False)
     with pytest.raises(AdapterError) as refused:
         call.sending()
-    assert (refused.value.code, call.sent) == ("access_denied", False)
+    assert (refused.value.code, call.writes_sent) == ("access_denied", 0)
     call.changes(("a", 1))
     call.sending()
-    assert call.sent
+    assert call.writes_sent == 1

@@ -9,8 +9,8 @@ import struct
 from typing import Any
 
 import pytest
+from pytest_otmcp.reference_adapters.core import BadReply
 from pytest_otmcp.reference_adapters.ethernetip.wire import (
-    BadReply,
     connected_message,
     modify_service,
     parts_of,

@@ -10,7 +10,8 @@ import struct
 from typing import Any
 
 import pytest
-from pytest_otmcp.reference_adapters.modbus.wire import BadReply, is_other_reply, reply_pdu, request_facts
+from pytest_otmcp.reference_adapters.core import BadReply
+from pytest_otmcp.reference_adapters.modbus.wire import is_other_reply, reply_pdu, request_facts
 
 from .cases import MODBUS, MODBUS_TAGS
 

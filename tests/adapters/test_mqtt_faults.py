@@ -17,7 +17,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from pytest_otmcp.reference_adapters.mqtt.connection import Connection, ConnectionLostError, Endpoint, Message
+from pytest_otmcp.reference_adapters.core import Lost
+from pytest_otmcp.reference_adapters.mqtt.connection import Connection, Endpoint, Message
 
 from .cases import MQTT
 from .conftest import PATIENCE_S
@@ -337,7 +338,7 @@ async def test_a_connection_knows_its_end_before_the_loop_has_read_it() -> None:
         while connection.is_live() and time.monotonic() < given_up:
             pass
         assert not connection.is_live()
-        with pytest.raises(ConnectionLostError):
+        with pytest.raises(Lost):
             connection.send(Message(topic="a", payload=b"x"))
 
 

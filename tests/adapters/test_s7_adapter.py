@@ -10,7 +10,8 @@ import struct
 from typing import Any
 
 import pytest
-from pytest_otmcp.reference_adapters.s7.wire import BadReply, items_of, reply_of
+from pytest_otmcp.reference_adapters.core import BadReply
+from pytest_otmcp.reference_adapters.s7.wire import items_of, reply_of
 from snap7.s7protocol import S7Protocol
 
 from .cases import S7, S7_TAGS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from pytest_otmcp.reference_adapters.defects.table import MUTANTS
+from pytest_otmcp.reference_adapters.defects.table import DEFECTS
 
 from pytest_otmcp.core.matrix import REQUIREMENTS
 from pytest_otmcp.protocols.own import OWN
@@ -29,13 +29,13 @@ def test_every_rule_of_a_level_has_a_check_on_the_protocol(protocol: str) -> Non
 
 
 def test_every_must_with_a_check_is_noticed_to_be_broken_by_a_defect() -> None:
-    killed = {name.partition(".")[0] for mutant in MUTANTS.values() if mutant.areas for name in mutant.items.split()}
+    killed = {name.partition(".")[0] for defect in DEFECTS.values() if defect.areas for name in defect.items.split()}
     must = {task.requirements[0] for task in CHECKS.values() if requirements()[task.requirements[0]].strength == "MUST"}
     assert sorted(must - killed) == []
 
 
 def test_a_defect_names_checks_of_its_areas_only() -> None:
-    for mutant in MUTANTS.values():
-        for name in mutant.items.split() if mutant.areas else ():
-            assert name in CHECKS, f"{mutant.id} names {name}"
-            assert name.partition("-")[0].lower() in mutant.areas.split()
+    for defect in DEFECTS.values():
+        for name in defect.items.split() if defect.areas else ():
+            assert name in CHECKS, f"{defect.id} names {name}"
+            assert name.partition("-")[0].lower() in defect.areas.split()

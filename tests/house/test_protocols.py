@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from pytest_otmcp.reference_adapters.defects.table import MUTANTS
+from pytest_otmcp.reference_adapters.defects.table import DEFECTS
 
 from pytest_otmcp.core.error_registry import registry, wire_codes
 from pytest_otmcp.core.matrix import SUITES
@@ -80,7 +80,7 @@ def test_every_protocol_has_an_item_in_every_suite(protocol: OtProtocol) -> None
 
 
 def test_every_protocol_has_a_lie_about_writing_that_the_suite_must_notice(protocol: OtProtocol) -> None:
-    assert any(mutant.protocol == protocol.key and mutant.catalogue_id == "MU-20" for mutant in MUTANTS.values())
+    assert any(defect.protocol == protocol.key and defect.catalogue_id == "MU-20" for defect in DEFECTS.values())
 
 
 def test_every_extra_and_colour_is_told_apart() -> None:

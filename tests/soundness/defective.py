@@ -18,7 +18,7 @@ from typing import Any
 from pytest_otmcp.reference_adapters.core import AdapterServer, Call
 from pytest_otmcp.reference_adapters.core import server as core_server
 from pytest_otmcp.reference_adapters.core.run import serve
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 
 # -- Modbus ---------------------------------------------------------------------------------------------------
 

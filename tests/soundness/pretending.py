@@ -15,7 +15,7 @@ from pytest_otmcp.reference_adapters.core.run import serve
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 
 from tests.soundness.honest import modbus_choices, mqtt_choices
 
@@ -37,7 +37,7 @@ class Pretender:
     """
 
     protocol: str
-    bend: Callable[[AdapterServer], None]
+    change: Callable[[AdapterServer], None]
     fails: str
     words: str
     tasks: str | None = None
@@ -47,7 +47,7 @@ class Pretender:
 def remembered_status(*, pause_s: float = 0.0, **meta: Any) -> Callable[[AdapterServer], None]:
     """Answer the status from memory after the first time, with these members in ``meta``, each answer after a pause."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         memory: dict[str, Any] = {}
 
         def remembered(genuine: Handler) -> Handler:
@@ -65,7 +65,7 @@ def remembered_status(*, pause_s: float = 0.0, **meta: Any) -> Callable[[Adapter
 
         wrap(server, "get_broker_info", remembered)
 
-    return bend
+    return apply
 
 
 def remembered_block(server: AdapterServer) -> None:
@@ -148,7 +148,7 @@ NO_QOS = mqtt_choices.takes_no_qos
 PRETENDERS = {
     "status-of-no-age": Pretender(
         protocol="mqtt",
-        bend=remembered_status(source="cache"),
+        change=remembered_status(source="cache"),
         fails="Q1 S8 S11 R-mqtt",
         words="the reply says source 'cache' and age_ms None",
         described=CACHED,
@@ -156,7 +156,7 @@ PRETENDERS = {
     "status-always-young": Pretender(
         protocol="mqtt",
         # A status that is a tenth of a second older than it says is not told from a fresh one (TRANSIT_MS).
-        bend=remembered_status(source="cache", age_ms=1.0, pause_s=0.2),
+        change=remembered_status(source="cache", age_ms=1.0, pause_s=0.2),
         tasks="Q1 S11",
         fails="Q1 S11",
         words="it is older than the 1.0 ms that it claims",
@@ -164,52 +164,52 @@ PRETENDERS = {
     ),
     "status-too-old": Pretender(
         protocol="mqtt",
-        bend=remembered_status(source="cache", age_ms=60_000.0),
+        change=remembered_status(source="cache", age_ms=60_000.0),
         fails="Q1 S8 S11 R-mqtt",
         words="the reply says that it is 60000.0 ms old, 1 s are declared",
         described=CACHED,
     ),
     "status-undeclared": Pretender(
         protocol="mqtt",
-        bend=remembered_status(source="cache", age_ms=1.0),
+        change=remembered_status(source="cache", age_ms=1.0),
         fails="Q1 S8 S11 R-mqtt",
         words="the broker should have answered at least 1 request(s) during the call(s), it saw none",
     ),
     "remembered-block": Pretender(
         protocol="modbus",
-        bend=remembered_block,
+        change=remembered_block,
         fails="M2 S1 S7 S10 R-modbus",
         words="should have been asked for 4 cell(s) from 0 by function 4 during the call, it was not",
     ),
     "refuses-as-if-the-device-had": Pretender(
         protocol="modbus",
-        bend=refuses_as_if_the_device_had,
+        change=refuses_as_if_the_device_had,
         fails="FM1",
         words="error outcome should be not_sent or not_applicable, it is 'rejected'",
     ),
     "refuses-with-any-code": Pretender(
         protocol="modbus",
-        bend=refuses_with_any_code,
+        change=refuses_with_any_code,
         fails="FM1",
         words="error code should be illegal_address or invalid_input, it is 'device_busy'",
     ),
     "commands-as-status": Pretender(
         protocol="mqtt",
-        bend=commands_as_status,
+        change=commands_as_status,
         fails="Q3",
         words="the broker should have seen no PUBLISH from the adapter, it saw 1",
         described=listens_on_the_line,
     ),
     "answers-a-second-later": Pretender(
         protocol="modbus",
-        bend=answers_a_second_later,
+        change=answers_a_second_later,
         fails="S10 R-modbus",
         words="expected success, got error 'connect_failed'",
         described=back_within_a_second,
     ),
     "delivers-twice": Pretender(
         protocol="mqtt",
-        bend=delivers_twice,
+        change=delivers_twice,
         fails="Q3 FQ1 S5",
         words="once and nothing else, it received 2 message(s)",
         described=NO_QOS,
@@ -220,7 +220,7 @@ PRETENDERS = {
 def main() -> None:
     pretender = PRETENDERS[sys.argv[1]]
     server = import_module(f"pytest_otmcp.reference_adapters.{pretender.protocol}").build()
-    pretender.bend(server)
+    pretender.change(server)
     sys.exit(serve(server))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from pytest_otmcp.reference_adapters.defects.table import MUTANTS
+from pytest_otmcp.reference_adapters.defects.table import DEFECTS
 
 from .conftest import DEFECT, Judge, Results, failing
 
@@ -19,15 +19,15 @@ def verdicts(results: Results) -> dict[str, str]:
 
 @pytest.mark.parametrize("name", ["MU-126", "MU-126q"])
 def test_items_in_another_order_have_the_same_verdicts(judge: Judge, name: str) -> None:
-    protocol = MUTANTS[name].protocol
+    protocol = DEFECTS[name].protocol
     usual = judge(protocol, *DEFECT, name)
-    assert failing(usual) >= set(MUTANTS[name].items.split())
+    assert failing(usual) >= set(DEFECTS[name].items.split())
     assert verdicts(judge(protocol, *DEFECT, name, shuffled=1)) == verdicts(usual)
 
 
 ADAPTERS = [
     ("modbus", ("defective.py",), "none"),
-    *((MUTANTS[name].protocol, DEFECT, name) for name in ("MU-126q", "MU-14")),
+    *((DEFECTS[name].protocol, DEFECT, name) for name in ("MU-126q", "MU-14")),
 ]
 
 

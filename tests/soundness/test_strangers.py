@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
-from pytest_otmcp.reference_adapters.defects.table import MUTANTS
+from pytest_otmcp.reference_adapters.defects.table import DEFECTS
 
 from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.session.loop import LoopThread
@@ -112,8 +112,8 @@ def test_a_strangers_exchange_proves_nothing_for_an_adapter_that_answers_from_me
 ) -> None:
     with beside("mqtt-exchange", "mqtt"):
         results = judge("mqtt", *DEFECT, "MU-36q")
-    assert failing(results) == {*MUTANTS["MU-36q"].items.split(), "R-mqtt"}, words(results)
-    assert requirements(results) == set(MUTANTS["MU-36q"].requirements.split()), words(results)
+    assert failing(results) == {*DEFECTS["MU-36q"].items.split(), "R-mqtt"}, words(results)
+    assert requirements(results) == set(DEFECTS["MU-36q"].requirements.split()), words(results)
     with beside("modbus-read", "modbus"):
         results = judge("modbus", command=rogue("stderr-flood"), tasks="M1", time_scale=IMPATIENT)
     assert failing(results) == {"M1"}

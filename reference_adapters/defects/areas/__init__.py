@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..mutant import Mutant
+from ..defect import Defect
 from . import (
     adr,
     adr_mqtt,
@@ -30,7 +30,7 @@ from . import (
     wr,
 )
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 # In the order of the suite's areas; the further protocols have a module each.
 _AREAS = (
@@ -60,4 +60,4 @@ _AREAS = (
     profibus,
 )
 
-MUTANTS: tuple[Mutant, ...] = tuple(mutant for area in _AREAS for mutant in area.MUTANTS)
+DEFECTS: tuple[Defect, ...] = tuple(defect for area in _AREAS for defect in area.DEFECTS)

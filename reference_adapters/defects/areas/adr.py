@@ -22,11 +22,11 @@ from ...opcua import tools as opcua_tools
 from ...opcua import values as opcua_values
 from ...opcua.nodes import NodeName
 from ...opcua.services import Services
+from ..defect import Change, Data, Defect, Handler, around, defect, wrap
 from ..modbus import fitted, next_register, write_only_remembered
-from ..mutant import Data, Handler, Mutant, each, wrap
 from ..refusals import cuts_fractions_off, texts_are_true
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ_INPUT, _READ_HOLDING, _WRITE = "read_input_registers", "read_multiple_holding_registers", "write_register"
 
@@ -150,29 +150,27 @@ def remembers_namespaces(server: AdapterServer) -> None:
     Services.node = node
 
 
-def _renamed(first: int, last: int) -> Callable[[Handler], Handler]:
-    """Return the change that addresses of this range count from its first one."""
+def _renamed(*names: str, first: int, last: int) -> Change:
+    """Return the defect that addresses of this range count from its first one."""
 
-    def change(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            told = arguments.address
-            address = told - first if first <= told <= last else told
-            data: Data = await genuine(call, arguments.model_copy(update={"address": address}))
-            return {**data, "address": told}
+    @around(*names)
+    async def renamed(genuine: Handler, call: Call, arguments: Any) -> Data:
+        told = arguments.address
+        address = told - first if first <= told <= last else told
+        data = await genuine(call, arguments.model_copy(update={"address": address}))
+        return {**data, "address": told}
 
-        return handler
-
-    return change
+    return renamed
 
 
 def parsing(change: Callable[[NodeName], NodeName]) -> Callable[[AdapterServer], None]:
     """Return the defect that a node id is taken for another one."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = opcua_tools.parse_node
         opcua_tools.parse_node = lambda text, field: change(genuine(text, field))
 
-    return bend
+    return apply
 
 
 def _digits_are_a_number(name: NodeName) -> NodeName:
@@ -189,7 +187,7 @@ def _numbers_are_text(name: NodeName) -> NodeName:
 def unknown_namespaces_are(index: int) -> Callable[[AdapterServer], None]:
     """Return the defect that a namespace URI that the server does not have stands for this namespace."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = Services.node
 
         async def node(self: Services, name: Any) -> Any:
@@ -200,7 +198,7 @@ def unknown_namespaces_are(index: int) -> Callable[[AdapterServer], None]:
 
         Services.node = node
 
-    return bend
+    return apply
 
 
 def any_size(server: AdapterServer) -> None:
@@ -223,7 +221,7 @@ def _is_deeper(arguments: Any) -> bool:
 def reads_no_deeper(answer: Callable[[], Awaitable[Data]]) -> Callable[[AdapterServer], None]:
     """Return the defect that a message that is nested more than 150 deep is given up, and answered in this way."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = server._answer
 
         async def answered(tool: Any, arguments: Any) -> Data:
@@ -231,7 +229,7 @@ def reads_no_deeper(answer: Callable[[], Awaitable[Data]]) -> Callable[[AdapterS
 
         server._answer = answered
 
-    return bend
+    return apply
 
 
 async def _never() -> Data:
@@ -243,232 +241,108 @@ async def _parse_error() -> Data:
     raise MCPError(PARSE_ERROR, "the message is nested too deeply")
 
 
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        id="MU-01a",
-        protocol="modbus",
-        sentence="Reads of holding registers go to the register after the one that was asked for.",
-        bend=next_register(_READ_HOLDING),
-        items="ADR-001.modbus ADR-002.modbus",
-        requirements="ADR-001 RD-001",
-        areas="adr",
+DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-01a",
+        "modbus",
+        "Reads of holding registers go to the register after the one that was asked for.",
+        next_register(_READ_HOLDING),
+        "ADR-001 ADR-002",
+        "ADR-001 RD-001",
     ),
-    Mutant(
-        id="MU-02a",
-        protocol="modbus",
-        sentence="Writes and the reads of holding registers both go to the next register.",
-        bend=next_register(_WRITE, _READ_HOLDING),
-        items="ADR-001.modbus ADR-002.modbus ADR-003.modbus",
-        requirements="ADR-001 RD-001 WR-001",
-        areas="adr",
+    defect(
+        "MU-02a",
+        "modbus",
+        "Writes and the reads of holding registers both go to the next register.",
+        next_register(_WRITE, _READ_HOLDING),
+        "ADR-001 ADR-002 ADR-003",
+        "ADR-001 RD-001 WR-001",
     ),
-    Mutant(
-        id="MU-06",
-        protocol="modbus",
-        sentence="Unit 257 is unit 1.",
-        bend=unit_modulo_256,
-        items="ADR-002.modbus",
-        requirements="ADR-002",
-        areas="adr",
-        quick=True,
+    defect("MU-06", "modbus", "Unit 257 is unit 1.", unit_modulo_256, "ADR-002", quick=True),
+    defect("MU-06a", "modbus", "Register 65536 is register 0.", address_modulo_65536, "ADR-002"),
+    defect(
+        "MU-01n",
+        "modbus",
+        "Address 40001 is register 0.",
+        _renamed(_READ_HOLDING, _WRITE, first=40_001, last=49_999),
+        "ADR-001",
     ),
-    Mutant(
-        id="MU-06a",
-        protocol="modbus",
-        sentence="Register 65536 is register 0.",
-        bend=address_modulo_65536,
-        items="ADR-002.modbus",
-        requirements="ADR-002",
-        areas="adr",
+    defect(
+        "MU-01m",
+        "modbus",
+        "Reads of address 30000 begin at register 0.",
+        _renamed(_READ_HOLDING, first=30_000, last=39_998),
+        "ADR-001",
     ),
-    Mutant(
-        id="MU-01n",
-        protocol="modbus",
-        sentence="Address 40001 is register 0.",
-        bend=each(_READ_HOLDING, _WRITE, change=_renamed(40_001, 49_999)),
-        items="ADR-001.modbus",
-        requirements="ADR-001",
-        areas="adr",
+    defect("MU-86u", "opcua", "An unknown namespace is number 2.", unknown_namespaces_are(2), "ADR-008"),
+    defect("MU-86v", "opcua", "An unknown namespace is number 0.", unknown_namespaces_are(0), "ADR-008"),
+    defect("MU-06i", "opcua", "A text of digits is a number.", parsing(_digits_are_a_number), "ADR-008"),
+    defect("MU-06j", "opcua", "A number is a text of digits.", parsing(_numbers_are_text), "ADR-008"),
+    defect("MU-06q", "mqtt", "A quality of service is taken modulo 3.", qos_modulo_3, "ADR-002 ADR-007"),
+    defect("MU-06o", "opcua", "Namespace 65538 is namespace 2.", index_modulo_65536, "ADR-002"),
+    defect(
+        "MU-08a",
+        "modbus",
+        "70000 is written as 4464, and told as a success.",
+        lambda server: fitted(server, lambda value: value & 0xFFFF),
+        "ADR-003",
     ),
-    Mutant(
-        id="MU-01m",
-        protocol="modbus",
-        sentence="Reads of address 30000 begin at register 0.",
-        bend=each(_READ_HOLDING, change=_renamed(30_000, 39_998)),
-        items="ADR-001.modbus",
-        requirements="ADR-001",
-        areas="adr",
+    defect(
+        "MU-08o",
+        "opcua",
+        "A number that does not fit into its type is cut down to its last bits.",
+        wraps_integers,
+        "ADR-003",
     ),
-    Mutant(
-        id="MU-86u",
-        protocol="opcua",
-        sentence="An unknown namespace is number 2.",
-        bend=unknown_namespaces_are(2),
-        items="ADR-008.opcua",
-        requirements="ADR-008",
-        areas="adr",
+    defect(
+        "MU-09a",
+        "modbus",
+        "70000 is written as 65535, and told as a success.",
+        lambda server: fitted(server, lambda value: max(0, min(value, 0xFFFF))),
+        "ADR-003",
     ),
-    Mutant(
-        id="MU-86v",
-        protocol="opcua",
-        sentence="An unknown namespace is number 0.",
-        bend=unknown_namespaces_are(0),
-        items="ADR-008.opcua",
-        requirements="ADR-008",
-        areas="adr",
+    defect("MU-10a", "modbus", "40.7 is written as 40.", cuts_fractions_off, "ADR-004"),
+    defect("MU-11a", "opcua", "The text false is written as true.", texts_are_true, "ADR-004"),
+    defect(
+        "MU-15a",
+        "modbus",
+        "A write succeeds, nothing is sent, and the value is read back from memory.",
+        write_only_remembered,
+        "ADR-001 ADR-002 ADR-003 ADR-004 ADR-009",
+        "ADR-001 ADR-003 WR-001",
     ),
-    Mutant(
-        id="MU-06i",
-        protocol="opcua",
-        sentence="A text of digits is a number.",
-        bend=parsing(_digits_are_a_number),
-        items="ADR-008.opcua",
-        requirements="ADR-008",
-        areas="adr",
+    defect("MU-83", "opcua", "A single value is written into an array.", scalar_into_array, "ADR-004"),
+    defect(
+        "MU-24",
+        "modbus",
+        "The range of a scaled tag's type is compared with the value before it is scaled.",
+        bounds_of_the_scaled_value,
+        "ADR-005",
     ),
-    Mutant(
-        id="MU-06j",
-        protocol="opcua",
-        sentence="A number is a text of digits.",
-        bend=parsing(_numbers_are_text),
-        items="ADR-008.opcua",
-        requirements="ADR-008",
-        areas="adr",
+    defect(
+        "MU-86",
+        "opcua",
+        "After a restart of the server a namespace has its old index.",
+        remembers_namespaces,
+        "ADR-008",
     ),
-    Mutant(
-        id="MU-06q",
-        protocol="mqtt",
-        sentence="A quality of service is taken modulo 3.",
-        bend=qos_modulo_3,
-        items="ADR-002.mqtt ADR-007.mqtt",
-        requirements="ADR-002 ADR-007",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-06o",
-        protocol="opcua",
-        sentence="Namespace 65538 is namespace 2.",
-        bend=index_modulo_65536,
-        items="ADR-002.opcua",
-        requirements="ADR-002",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-08a",
-        protocol="modbus",
-        sentence="70000 is written as 4464, and told as a success.",
-        bend=lambda server: fitted(server, lambda value: value & 0xFFFF),
-        items="ADR-003.modbus",
-        requirements="ADR-003",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-08o",
-        protocol="opcua",
-        sentence="A number that does not fit into its type is cut down to its last bits.",
-        bend=wraps_integers,
-        items="ADR-003.opcua",
-        requirements="ADR-003",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-09a",
-        protocol="modbus",
-        sentence="70000 is written as 65535, and told as a success.",
-        bend=lambda server: fitted(server, lambda value: max(0, min(value, 0xFFFF))),
-        items="ADR-003.modbus",
-        requirements="ADR-003",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-10a",
-        protocol="modbus",
-        sentence="40.7 is written as 40.",
-        bend=cuts_fractions_off,
-        items="ADR-004.modbus",
-        requirements="ADR-004",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-11a",
-        protocol="opcua",
-        sentence="The text false is written as true.",
-        bend=texts_are_true,
-        items="ADR-004.opcua",
-        requirements="ADR-004",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-15a",
-        protocol="modbus",
-        sentence="A write succeeds, nothing is sent, and the value is read back from memory.",
-        bend=write_only_remembered,
-        items="ADR-001.modbus ADR-002.modbus ADR-003.modbus ADR-004.modbus ADR-009.modbus",
-        requirements="ADR-001 ADR-003 WR-001",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-83",
-        protocol="opcua",
-        sentence="A single value is written into an array.",
-        bend=scalar_into_array,
-        items="ADR-004.opcua",
-        requirements="ADR-004",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-24",
-        protocol="modbus",
-        sentence="The range of a scaled tag's type is compared with the value before it is scaled.",
-        bend=bounds_of_the_scaled_value,
-        items="ADR-005.modbus",
-        requirements="ADR-005",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-86",
-        protocol="opcua",
-        sentence="After a restart of the server a namespace has its old index.",
-        bend=remembers_namespaces,
-        items="ADR-008.opcua",
-        requirements="ADR-008",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-121",
-        protocol="modbus",
-        sentence="A scaled value is cut off instead of rounded.",
-        bend=rounds_down,
-        items="ADR-005.modbus",
-        requirements="ADR-005",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-122",
-        protocol="mqtt",
-        sentence="Ten megabytes are handed to the broker.",
-        bend=any_size,
-        items="ADR-009.mqtt",
-        requirements="ADR-009",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-122n",
-        protocol="modbus",
-        sentence="A call whose arguments are nested 150 deep is never answered.",
-        bend=reads_no_deeper(_never),
-        items="",
-        requirements="ADR-009",
-        areas="adr",
+    defect("MU-121", "modbus", "A scaled value is cut off instead of rounded.", rounds_down, "ADR-005"),
+    defect("MU-122", "mqtt", "Ten megabytes are handed to the broker.", any_size, "ADR-009"),
+    defect(
+        "MU-122n",
+        "modbus",
+        "A call whose arguments are nested 150 deep is never answered.",
+        reads_no_deeper(_never),
+        "",
+        "ADR-009",
         waits=True,
     ),
-    Mutant(
-        id="MU-122p",
-        protocol="mqtt",
-        sentence="Arguments that are nested 150 deep are told as a message that cannot be parsed.",
-        bend=reads_no_deeper(_parse_error),
-        items="",
-        requirements="ADR-009",
-        areas="adr",
+    defect(
+        "MU-122p",
+        "mqtt",
+        "Arguments that are nested 150 deep are told as a message that cannot be parsed.",
+        reads_no_deeper(_parse_error),
+        "",
+        "ADR-009",
     ),
 )

@@ -7,9 +7,9 @@ from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
 from ...mqtt import tools as mqtt_tools
-from ..mutant import Bend, Data, Handler, Mutant, wrap
+from ..defect import Change, Data, Defect, Handler, around, defect
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 
 def null_characters_taken(server: AdapterServer) -> None:
@@ -44,69 +44,41 @@ def filters_put_right(server: AdapterServer) -> None:
     mqtt_tools.check_filter = check_filter
 
 
-def clamped(name: str) -> Bend:
+def clamped(name: str) -> Change:
     """Return the defect that this tool takes a quality of service that does not exist for the nearest one."""
 
-    def clamping(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments.model_copy(update={"qos": max(0, min(arguments.qos, 2))}))
-            return data
-
-        return handler
-
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         tool = server._tools[name]
         anything = type("Anything", (tool.model,), {"__annotations__": {"qos": int}, "__module__": __name__})
-        wrap(server, name, clamping, model=anything)
 
-    return bend
+        @around(name, model=anything)
+        async def clamping(genuine: Handler, call: Call, arguments: Any) -> Data:
+            return await genuine(call, arguments.model_copy(update={"qos": max(0, min(arguments.qos, 2))}))
+
+        clamping(server)
+
+    return apply
 
 
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        id="MU-68c",
-        protocol="mqtt",
-        sentence="A topic that is too long is cut off, and the message is published on what remains.",
-        bend=topics_cut_off,
-        items="ADR-006.mqtt",
-        requirements="ADR-006",
-        areas="adr",
+DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-68c",
+        "mqtt",
+        "A topic that is too long is cut off, and the message is published on what remains.",
+        topics_cut_off,
+        "ADR-006",
     ),
-    Mutant(
-        id="MU-68t",
-        protocol="mqtt",
-        sentence="A topic to publish on may have null characters.",
-        bend=null_characters_taken,
-        items="ADR-006.mqtt",
-        requirements="ADR-006",
-        areas="adr",
-    ),
-    Mutant(
-        id="MU-69c",
-        protocol="mqtt",
-        sentence="A subscription with QoS 5 is one with QoS 2.",
-        bend=clamped("subscribe_topic"),
-        items="ADR-002.mqtt ADR-007.mqtt",
-        requirements="ADR-002 ADR-007",
-        areas="adr",
+    defect("MU-68t", "mqtt", "A topic to publish on may have null characters.", null_characters_taken, "ADR-006"),
+    defect(
+        "MU-69c",
+        "mqtt",
+        "A subscription with QoS 5 is one with QoS 2.",
+        clamped("subscribe_topic"),
+        "ADR-002 ADR-007",
         quick=True,
     ),
-    Mutant(
-        id="MU-69p",
-        protocol="mqtt",
-        sentence="A publication with QoS 5 is one with QoS 2.",
-        bend=clamped("publish_message"),
-        items="ADR-002.mqtt ADR-007.mqtt",
-        requirements="ADR-002 ADR-007",
-        areas="adr",
+    defect(
+        "MU-69p", "mqtt", "A publication with QoS 5 is one with QoS 2.", clamped("publish_message"), "ADR-002 ADR-007"
     ),
-    Mutant(
-        id="MU-69f",
-        protocol="mqtt",
-        sentence="A topic filter that is wrong is put right in silence.",
-        bend=filters_put_right,
-        items="ADR-007.mqtt",
-        requirements="ADR-007",
-        areas="adr",
-    ),
+    defect("MU-69f", "mqtt", "A topic filter that is wrong is put right in silence.", filters_put_right, "ADR-007"),
 )

@@ -8,12 +8,12 @@ from typing import Any
 from ...core import AdapterServer, Call
 from ..any_protocol import answers_from_memory_when_gone, guard_after_sending
 from ..claims import local_time
-from ..mutant import Data, Mutant, failing, told
+from ..defect import Data, Defect, defect, failing, told
 from ..refusals import _end
 from .enc import as_zero, by_way_of_float
-from .further import cut_off, declared, last_answer, merged, module_of, stripped
+from .further import cut_off, last_answer, merged, module_of, stripped
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ, _WRITE = "read_property", "write_property"
 _INSTANCE_BITS = 22
@@ -72,127 +72,79 @@ def _positive(data: Data) -> Data:
     return {**data, "value": abs(data["value"])} if data["type"] == "real" else data
 
 
-_mutant = partial(declared, "bacnet")
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
+DEFECTS: tuple[Defect, ...] = (
+    defect(
         "MU-02bw",
-        "wr",
-        "WR-001 WR-002",
-        "WR-001 WR-002",
-        _at_the_lowest_priority,
+        "bacnet",
         "A BACnet write by an alias goes to priority 16, whichever the alias has.",
+        _at_the_lowest_priority,
+        "WR-001 WR-002",
     ),
-    _mutant(
-        "MU-04bac",
-        "rd",
-        "RD-001",
-        "RD-001",
-        told(_READ, change=_positive),
-        "A REAL is read without its sign.",
-    ),
-    _mutant(
+    defect("MU-04bac", "bacnet", "A REAL is read without its sign.", told(_READ, change=_positive), "RD-001"),
+    defect(
         "MU-20bw",
-        "wr",
+        "bacnet",
+        "With writes disabled an alias is written, and then denied.",
+        guard_after_sending("write_object_by_alias"),
         "WR-004 WR-010",
         "ERR-006 WR-004",
-        guard_after_sending("write_object_by_alias"),
-        "With writes disabled an alias is written, and then denied.",
     ),
-    _mutant(
-        "MU-09bac",
-        "adr",
-        "ADR-003",
-        "ADR-003",
-        _at_least_zero,
-        "A state below the first one is written as the first one.",
+    defect("MU-09bac", "bacnet", "A state below the first one is written as the first one.", _at_least_zero, "ADR-003"),
+    defect(
+        "MU-11bac", "bacnet", "A text with a number in it is written as the number.", _numbers_from_texts, "ADR-004"
     ),
-    _mutant(
-        "MU-11bac",
-        "adr",
-        "ADR-004",
-        "ADR-004",
-        _numbers_from_texts,
-        "A text with a number in it is written as the number.",
-    ),
-    _mutant(
+    defect(
         "MU-06bac",
-        "adr",
-        "ADR-002",
-        "ADR-002",
-        cut_off(_WRITE, "object_instance", _INSTANCE_BITS),
+        "bacnet",
         "Of an instance the last 22 bits count.",
+        cut_off(_WRITE, "object_instance", _INSTANCE_BITS),
+        "ADR-002",
     ),
-    _mutant(
+    defect(
         "MU-37bac",
-        "con",
-        "CON-001",
-        "CON-001",
-        last_answer(_READ),
+        "bacnet",
         "Of several BACnet reads at the same time all are told what the last one has found.",
+        last_answer(_READ),
+        "CON-001",
     ),
-    _mutant(
+    defect(
         "MU-41bac",
-        "con",
-        "CON-004",
-        "CON-004",
-        merged(_WRITE, lambda asked: (asked.object_type, asked.object_instance), _held),
+        "bacnet",
         "Of two BACnet writes at the same time only one is sent, and both are told as successes.",
+        merged(_WRITE, lambda asked: (asked.object_type, asked.object_instance), _held),
+        "CON-004",
     ),
-    _mutant(
-        "MU-56bac",
-        "enc",
-        "ENC-004",
-        "ENC-004",
-        told(_READ, change=as_zero),
-        "A present value that is NaN is 0.",
-    ),
-    _mutant(
-        "MU-57bac",
-        "enc",
-        "ENC-003",
-        "ENC-003",
-        told(_READ, change=_one_decimal),
-        "A REAL is rounded to one decimal.",
-    ),
-    _mutant(
-        "MU-58bac",
-        "enc",
-        "ENC-005",
-        "ENC-005",
-        told(_READ, change=by_way_of_float),
-        "An Unsigned above 2^53 is rounded.",
-    ),
-    _mutant(
+    defect("MU-56bac", "bacnet", "A present value that is NaN is 0.", told(_READ, change=as_zero), "ENC-004"),
+    defect("MU-57bac", "bacnet", "A REAL is rounded to one decimal.", told(_READ, change=_one_decimal), "ENC-003"),
+    defect("MU-58bac", "bacnet", "An Unsigned above 2^53 is rounded.", told(_READ, change=by_way_of_float), "ENC-005"),
+    defect(
         "MU-123b",
-        "enc",
-        "ENC-006",
-        "ENC-006",
-        told(_READ, change=stripped),
+        "bacnet",
         "A character string is read without the spaces around it.",
+        told(_READ, change=stripped),
+        "ENC-006",
     ),
-    _mutant(
+    defect(
         "MU-124b",
-        "enc",
+        "bacnet",
+        "started_at of a BACnet answer is the local time with a Z behind it.",
+        local_time,
         "ENC-003 ENC-004 ENC-005 ENC-006 ENC-007",
         "ENC-007",
-        local_time,
-        "started_at of a BACnet answer is the local time with a Z behind it.",
     ),
-    _mutant(
+    defect(
         "MU-93bac",
-        "res",
+        "bacnet",
+        "A BACnet answer that cannot be read ends the adapter.",
+        failing(change=_end),
         "RES-003",
         "MCP-007",
-        failing(change=_end),
-        "A BACnet answer that cannot be read ends the adapter.",
     ),
-    _mutant(
+    defect(
         "MU-35bac",
-        "rec",
-        "REC-002",
-        "REC-002",
-        answers_from_memory_when_gone("read_property", silent=True),
+        "bacnet",
         "While the device is gone, a read of a property succeeds with what was read before.",
+        answers_from_memory_when_gone("read_property", silent=True),
+        "REC-002",
     ),
 )

@@ -13,30 +13,28 @@ from pydantic import create_model
 from ...core import AdapterError, AdapterServer, Call
 from ...core import bounds as core_bounds
 from ...mqtt import tools as mqtt_tools
-from ..mutant import Bend, Data, Handler, Mutant, each, wrap
-from .further import declared, module_of
+from ..defect import Change, Data, Defect, Handler, around, defect, wrap
+from .further import module_of
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _Pair = tuple[str, object]
 
 
-def _said(*names: str, change: Callable[[Any, tuple[_Pair, ...]], Iterable[_Pair]]) -> Bend:
+def _said(*names: str, change: Callable[[Any, tuple[_Pair, ...]], Iterable[_Pair]]) -> Change:
     """Return the defect that these tools, or all, say something else of what they change, made from arguments and targets."""
 
-    def saying(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            changes = call.changes
-            call.changes = lambda *targets: changes(*change(arguments, targets))
-            data: Data = await genuine(call, arguments)
-            return data
+    @around(*names)
+    async def saying(genuine: Handler, call: Call, arguments: Any) -> Data:
+        changes = call.changes
+        call.changes = lambda *targets: changes(*change(arguments, targets))
+        data = await genuine(call, arguments)
+        return data
 
-        return handler
-
-    return each(*names, change=saying)
+    return saying
 
 
-def _unbounded(*names: str) -> Bend:
+def _unbounded(*names: str) -> Change:
     """Return the defect that list and limits do not hold for these tools."""
     return _said(*names, change=lambda arguments, targets: ())
 
@@ -52,10 +50,10 @@ def _globs(server: AdapterServer) -> None:
     core_bounds._covers = lambda pattern, target: fnmatch.fnmatch(target, pattern)
 
 
-def _opened_by_an_argument(tool: str) -> Bend:
+def _opened_by_an_argument(tool: str) -> Change:
     """Return the defect that the tool takes ``force``, and the list does not hold then."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = server._tools[tool]
         fields: dict[str, Any] = {"force": (bool, False), "override": (bool, False)}
         model = create_model(genuine.model.__name__, __base__=genuine.model, **fields)
@@ -71,10 +69,10 @@ def _opened_by_an_argument(tool: str) -> Bend:
 
         wrap(server, tool, opened, model=model)
 
-    return bend
+    return apply
 
 
-def _one_after_the_other(tool: str, items: str, told: str) -> Bend:
+def _one_after_the_other(tool: str, items: str, told: str) -> Change:
     """Return the defect that a batch with a forbidden item is written item by item, until it comes to that one.
 
     Args:
@@ -82,33 +80,31 @@ def _one_after_the_other(tool: str, items: str, told: str) -> Bend:
         told: the member of ``data`` that has the results.
     """
 
-    def singly(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            batch = getattr(arguments, items)
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "access_denied" or len(batch) == 1:
-                    raise
-                parts = [await genuine(call, arguments.model_copy(update={items: [item]})) for item in batch]
-                data = {told: [result for part in parts for result in part[told]]}
-            return data
+    @around(tool)
+    async def singly(genuine: Handler, call: Call, arguments: Any) -> Data:
+        batch = getattr(arguments, items)
+        try:
+            data = await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code != "access_denied" or len(batch) == 1:
+                raise
+            parts = [await genuine(call, arguments.model_copy(update={items: [item]})) for item in batch]
+            data = {told: [result for part in parts for result in part[told]]}
+        return data
 
-        return handler
-
-    return each(tool, change=singly)
+    return singly
 
 
-def _without(*members: str) -> Bend:
+def _without(*members: str) -> Change:
     """Return the defect that these limits are not looked at."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         if server._bounds is not None:
             changes = dict.fromkeys(members)
             limits = server._bounds._limits
             server._bounds._limits = {name: one.model_copy(update=changes) for name, one in limits.items()}
 
-    return bend
+    return apply
 
 
 def _what_is_no_number_passes(server: AdapterServer) -> None:
@@ -138,130 +134,89 @@ def _clamped(server: AdapterServer) -> None:
     services.write = write
 
 
-def _mutant(id: str, protocol: str, row: str, cited: str, bend: Bend, sentence: str) -> Mutant:
-    return declared(protocol, id, "wr", row, cited, bend, sentence)
-
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
+DEFECTS: tuple[Defect, ...] = (
+    defect(
         "MU-22",
         "modbus",
-        "WR-006",
-        "WR-006",
-        _first_alone("write_registers", "write_coils_bulk"),
         "Of a range that is to be written the first register alone must be allowed.",
+        _first_alone("write_registers", "write_coils_bulk"),
+        "WR-006",
     ),
-    _mutant(
+    defect(
         "MU-22f",
         "modbus",
-        "WR-006",
-        "WR-006",
-        _opened_by_an_argument("write_register"),
         "The argument force opens the list of registers that may be written.",
-    ),
-    _mutant(
-        "MU-22q",
-        "mqtt",
+        _opened_by_an_argument("write_register"),
         "WR-006",
-        "WR-006",
-        _globs,
-        "A star in the list of topics stands for several levels.",
     ),
-    _mutant(
+    defect("MU-22q", "mqtt", "A star in the list of topics stands for several levels.", _globs, "WR-006"),
+    defect(
         "MU-22k",
         "s7",
-        "WR-006 WR-007",
-        "WR-006 WR-007",
-        _as_a_word,
         "Every value counts as the word that begins where it does, a DINT as well.",
+        _as_a_word,
+        "WR-006 WR-007",
     ),
-    _mutant(
+    defect(
         "MU-22ei",
         "ethernetip",
-        "WR-006",
-        "WR-006",
-        _first_alone("write_array"),
         "Of elements that are to be written the first alone must be allowed.",
+        _first_alone("write_array"),
+        "WR-006",
     ),
-    _mutant(
+    defect(
         "MU-22bac",
         "bacnet",
-        "WR-006",
-        "WR-006",
-        _unbounded("write_object_by_alias"),
         "An alias writes an object that is not on the list.",
+        _unbounded("write_object_by_alias"),
+        "WR-006",
     ),
-    _mutant(
+    defect(
         "MU-22dnp",
         "dnp3",
-        "WR-006 WR-007",
-        "WR-006 WR-007",
-        _unbounded("write_point_by_alias"),
         "List and limits hold for points by index, and not for those by alias.",
+        _unbounded("write_point_by_alias"),
+        "WR-006 WR-007",
     ),
-    _mutant(
+    defect(
         "MU-22dp",
         "profibus",
-        "WR-006",
-        "WR-006",
-        _unbounded("write_outputs"),
         "List and limits hold for outputs by alias, and not for those of a whole slave.",
+        _unbounded("write_outputs"),
+        "WR-006",
     ),
-    _mutant(
+    defect(
         "MU-23",
         "opcua",
-        "WR-006",
-        "WR-006",
-        _one_after_the_other("write_multiple_opcua_nodes", "items", "items"),
         "Of a batch the nodes before a forbidden one are written.",
+        _one_after_the_other("write_multiple_opcua_nodes", "items", "items"),
+        "WR-006",
     ),
-    _mutant(
+    defect(
         "MU-23ei",
         "ethernetip",
-        "WR-006",
-        "WR-006",
-        _one_after_the_other("write_multiple_tags", "payloads", "tags"),
         "Of a batch the tags before a forbidden one are written.",
+        _one_after_the_other("write_multiple_tags", "payloads", "tags"),
+        "WR-006",
     ),
-    _mutant(
+    defect(
         "MU-24c",
         "modbus",
-        "WR-007",
-        "WR-007",
-        _said("write_tag", change=lambda asked, targets: [(target, asked.value) for target, _ in targets]),
         "The limit of a register is compared with a tag's value before it is scaled.",
-    ),
-    _mutant(
-        "MU-24q",
-        "mqtt",
+        _said("write_tag", change=lambda asked, targets: [(target, asked.value) for target, _ in targets]),
         "WR-007",
-        "WR-007",
-        _what_is_no_number_passes,
-        "NaN is within every limit.",
     ),
-    _mutant("MU-24s", "opcua", "WR-007", "WR-007", _without("step"), "A value may leap, whatever the largest step is."),
-    _mutant(
+    defect("MU-24q", "mqtt", "NaN is within every limit.", _what_is_no_number_passes, "WR-007"),
+    defect("MU-24s", "opcua", "A value may leap, whatever the largest step is.", _without("step"), "WR-007"),
+    defect(
         "MU-24r",
         "s7",
-        "WR-007",
-        "WR-007",
-        _without("every_s"),
         "Values may be written as fast as they come, whatever time has to lie between two.",
+        _without("every_s"),
+        "WR-007",
     ),
-    _mutant(
-        "MU-24o",
-        "opcua",
-        "WR-007",
-        "WR-007",
-        _clamped,
-        "A value above the highest is written as the highest.",
-    ),
-    _mutant(
-        "MU-24dp",
-        "profibus",
-        "WR-007",
-        "WR-007",
-        _without("lowest"),
-        "The lowest value of a slave's output is not looked at.",
+    defect("MU-24o", "opcua", "A value above the highest is written as the highest.", _clamped, "WR-007"),
+    defect(
+        "MU-24dp", "profibus", "The lowest value of a slave's output is not looked at.", _without("lowest"), "WR-007"
     ),
 )

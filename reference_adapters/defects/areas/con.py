@@ -10,10 +10,10 @@ from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
 from ...modbus.codec import decode
+from ..defect import Change, Data, Defect, Handler, around, defect
 from ..life import address_of
-from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of
 
-__all__ = ["MUTANTS", "Stream"]
+__all__ = ["DEFECTS", "Stream"]
 
 _READ_INPUT, _READ_HOLDING, _WRITE = "read_input_registers", "read_multiple_holding_registers", "write_register"
 _HEADER = 9
@@ -71,24 +71,22 @@ class Stream:
         return answer
 
 
-def over_a_stream(name: str, function: int, **options: Any) -> Bend:
+def over_a_stream(name: str, function: int, **options: Any) -> Change:
     """Return the defect that a tool reads by such a client."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         streams: list[Stream] = []
 
-        def streaming(genuine: Handler) -> Handler:
-            async def handler(call: Call, arguments: Any) -> Data:
-                if not streams:
-                    streams.append(Stream(server, **options))
-                values = await streams[0].read(call, function, arguments.address, arguments.count)
-                return {"address": arguments.address, "count": arguments.count, "values": values}
+        @around(name)
+        async def streaming(genuine: Handler, call: Call, arguments: Any) -> Data:
+            if not streams:
+                streams.append(Stream(server, **options))
+            values = await streams[0].read(call, function, arguments.address, arguments.count)
+            return {"address": arguments.address, "count": arguments.count, "values": values}
 
-            return handler
+        streaming(server)
 
-        each(name, change=streaming)(server)
-
-    return bend
+    return apply
 
 
 def late_answers(server: AdapterServer) -> None:
@@ -98,74 +96,66 @@ def late_answers(server: AdapterServer) -> None:
     link._timeout_s = 3 * patience_s
     late: list[asyncio.Future[Data]] = []
 
-    def handed_on(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            answer = late.pop() if late else asyncio.ensure_future(genuine(call, arguments))
-            try:
-                data = await asyncio.wait_for(asyncio.shield(answer), patience_s)
-            except TimeoutError:
-                late.append(answer)
-                raise AdapterError("timeout", "the server did not answer in time") from None
-            return {**data, "node_id": arguments.node_id}
+    @around("read_opcua_node")
+    async def handed_on(genuine: Handler, call: Call, arguments: Any) -> Data:
+        answer = late.pop() if late else asyncio.ensure_future(genuine(call, arguments))
+        try:
+            data = await asyncio.wait_for(asyncio.shield(answer), patience_s)
+        except TimeoutError:
+            late.append(answer)
+            raise AdapterError("timeout", "the server did not answer in time") from None
+        return {**data, "node_id": arguments.node_id}
 
-        return handler
-
-    each("read_opcua_node", change=handed_on)(server)
+    handed_on(server)
 
 
 def torn_numbers(server: AdapterServer) -> None:
     tools = server._tools[_READ_INPUT].handler.__self__
 
-    def parted(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            (high,) = await tools._holding(call, arguments, arguments.address, 1)
-            (low,) = await tools._holding(call, arguments, arguments.address + 1, 1)
-            return {"address": arguments.address, **decode([high, low], arguments.data_type, arguments.order)}
+    @around("read_holding_typed")
+    async def parted(genuine: Handler, call: Call, arguments: Any) -> Data:
+        (high,) = await tools._holding(call, arguments, arguments.address, 1)
+        (low,) = await tools._holding(call, arguments, arguments.address + 1, 1)
+        return {"address": arguments.address, **decode([high, low], arguments.data_type, arguments.order)}
 
-        return handler
-
-    each("read_holding_typed", change=parted)(server)
+    parted(server)
 
 
 def lost_update(server: AdapterServer) -> None:
     """Of several writes to one node at the same time only the last is sent, and all are told as successes."""
     waiting: dict[str, int] = {}
 
-    def merging(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            waiting[arguments.node_id] = mine = waiting.get(arguments.node_id, 0) + 1
-            await asyncio.sleep(0.02)
-            if waiting[arguments.node_id] != mine:
-                return {"node_id": arguments.node_id, "value": arguments.value, "data_type": "Double", "status": "Good"}
-            data: Data = await genuine(call, arguments)
-            return data
+    @around("write_opcua_node")
+    async def merging(genuine: Handler, call: Call, arguments: Any) -> Data:
+        waiting[arguments.node_id] = mine = waiting.get(arguments.node_id, 0) + 1
+        await asyncio.sleep(0.02)
+        if waiting[arguments.node_id] != mine:
+            return {"node_id": arguments.node_id, "value": arguments.value, "data_type": "Double", "status": "Good"}
+        data = await genuine(call, arguments)
+        return data
 
-        return handler
-
-    each("write_opcua_node", change=merging)(server)
+    merging(server)
 
 
 def blocking(server: AdapterServer) -> None:
     """Wait for the device in the event loop."""
 
-    def synchronous(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            count = arguments.count
-            with socket.create_connection(address_of(server), timeout=3.0) as connection:
-                call.connection(generation=1, fresh=True)
-                call.sending()
-                connection.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, arguments.address, count))
-                try:
-                    answer = connection.recv(300)
-                except TimeoutError:
-                    raise AdapterError("timeout", "the device did not reply in time") from None
-            call.answered()
-            values = list(struct.unpack(f">{count}H", answer[_HEADER:]))
-            return {"address": arguments.address, "count": count, "values": values}
+    @around(_READ_HOLDING)
+    async def synchronous(genuine: Handler, call: Call, arguments: Any) -> Data:
+        count = arguments.count
+        with socket.create_connection(address_of(server), timeout=3.0) as connection:
+            call.connection(generation=1, fresh=True)
+            call.sending()
+            connection.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, arguments.address, count))
+            try:
+                answer = connection.recv(300)
+            except TimeoutError:
+                raise AdapterError("timeout", "the device did not reply in time") from None
+        call.answered()
+        values = list(struct.unpack(f">{count}H", answer[_HEADER:]))
+        return {"address": arguments.address, "count": count, "values": values}
 
-        return handler
-
-    each(_READ_HOLDING, change=synchronous)(server)
+    synchronous(server)
 
 
 def one_message_at_a_time(server: AdapterServer) -> None:
@@ -183,191 +173,140 @@ def one_message_at_a_time(server: AdapterServer) -> None:
 def connection_for_each_read(server: AdapterServer) -> None:
     held = []
 
-    def connecting(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            with contextlib.suppress(OSError):
-                held.append(await asyncio.open_connection(*address_of(server)))
-            data: Data = await genuine(call, arguments)
-            return data
+    @around(_READ_HOLDING)
+    async def connecting(genuine: Handler, call: Call, arguments: Any) -> Data:
+        with contextlib.suppress(OSError):
+            held.append(await asyncio.open_connection(*address_of(server)))
+        data = await genuine(call, arguments)
+        return data
 
-        return handler
-
-    each(_READ_HOLDING, change=connecting)(server)
+    connecting(server)
 
 
 def connection_during_each_read(server: AdapterServer) -> None:
     """Every call has a connection of its own, which is closed when it is over."""
 
-    def connecting(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            _, writer = await asyncio.open_connection(*address_of(server))
-            try:
-                # As long as a device takes that answers slowly.
-                await asyncio.sleep(0.05)
-                data: Data = await genuine(call, arguments)
-            finally:
-                writer.close()
-            return data
+    @around(_READ_HOLDING)
+    async def connecting(genuine: Handler, call: Call, arguments: Any) -> Data:
+        _, writer = await asyncio.open_connection(*address_of(server))
+        try:
+            # As long as a device takes that answers slowly.
+            await asyncio.sleep(0.05)
+            data = await genuine(call, arguments)
+        finally:
+            writer.close()
+        return data
 
-        return handler
-
-    each(_READ_HOLDING, change=connecting)(server)
+    connecting(server)
 
 
-def _first_granted() -> Bend:
+def _first_granted() -> Change:
     """Return the defect that of several subscriptions at the same time all are told what was granted to the last of them."""
     last: list[int] = [0]
 
-    def bend(server: AdapterServer) -> None:
-        def shared(genuine: Handler) -> Handler:
-            async def handler(call: Call, arguments: Any) -> Data:
-                data: Data = await genuine(call, arguments)
-                last[0] = data["granted_qos"]
-                await asyncio.sleep(0.02)
-                return {**data, "granted_qos": last[0]}
+    def apply(server: AdapterServer) -> None:
+        @around("subscribe_topic")
+        async def shared(genuine: Handler, call: Call, arguments: Any) -> Data:
+            data = await genuine(call, arguments)
+            last[0] = data["granted_qos"]
+            await asyncio.sleep(0.02)
+            return {**data, "granted_qos": last[0]}
 
-            return handler
+        shared(server)
 
-        each("subscribe_topic", change=shared)(server)
-
-    return bend
+    return apply
 
 
 def exchanged_values(server: AdapterServer) -> None:
     """Of two writes within 10 ms each sends the value of the other."""
     waiting: list[tuple[Any, asyncio.Future[int]]] = []
 
-    def exchanging(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            value = arguments.value
-            if waiting:
-                other, given = waiting.pop()
-                given.set_result(value)
-                value = other.value
-            else:
-                mine = arguments, asyncio.get_running_loop().create_future()
-                waiting.append(mine)
-                try:
-                    async with asyncio.timeout(0.01):
-                        value = await mine[1]
-                except TimeoutError:
-                    waiting.remove(mine)
-            data: Data = await genuine(call, arguments.model_copy(update={"value": value}))
-            return {**data, "value": arguments.value}
+    @around(_WRITE)
+    async def exchanging(genuine: Handler, call: Call, arguments: Any) -> Data:
+        value = arguments.value
+        if waiting:
+            other, given = waiting.pop()
+            given.set_result(value)
+            value = other.value
+        else:
+            mine = arguments, asyncio.get_running_loop().create_future()
+            waiting.append(mine)
+            try:
+                async with asyncio.timeout(0.01):
+                    value = await mine[1]
+            except TimeoutError:
+                waiting.remove(mine)
+        data = await genuine(call, arguments.model_copy(update={"value": value}))
+        return {**data, "value": arguments.value}
 
-        return handler
-
-    each(_WRITE, change=exchanging)(server)
+    exchanging(server)
 
 
 def last_value_for_all(server: AdapterServer) -> None:
     """The value to be written is kept in one place for all calls, and sent a moment later."""
     kept: list[Any] = [None]
 
-    def keeping(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            kept[0] = arguments.value
-            await asyncio.sleep(0.01)
-            data: Data = await genuine(call, arguments.model_copy(update={"value": kept[0]}))
-            return {**data, "value": arguments.value}
+    @around(_WRITE)
+    async def keeping(genuine: Handler, call: Call, arguments: Any) -> Data:
+        kept[0] = arguments.value
+        await asyncio.sleep(0.01)
+        data = await genuine(call, arguments.model_copy(update={"value": kept[0]}))
+        return {**data, "value": arguments.value}
 
-        return handler
-
-    each(_WRITE, change=keeping)(server)
+    keeping(server)
 
 
-_mutant = mutants_of("con")
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
+DEFECTS: tuple[Defect, ...] = (
+    defect(
         "MU-37",
         "modbus",
         "Answers that come in another order are given to the wrong calls.",
         over_a_stream(_READ_INPUT, 4, pipelined=True),
-        "CON-001.modbus",
         "CON-001",
     ),
-    _mutant(
+    defect(
         "MU-37q",
         "mqtt",
         "Of several subscriptions at the same time each is told what was granted to another.",
         _first_granted(),
-        "CON-001.mqtt",
         "CON-001",
     ),
-    _mutant(
-        "MU-38",
-        "modbus",
-        "A late answer is given to the next call.",
-        over_a_stream(_READ_HOLDING, 3),
-        "CON-002.modbus",
-        "CON-002",
-    ),
-    _mutant(
-        "MU-38o",
-        "opcua",
-        "A late answer is given to the next call.",
-        late_answers,
-        "CON-002.opcua",
-        "CON-002",
-    ),
-    _mutant(
-        "MU-41c",
-        "modbus",
-        "The two registers of a number are read in two requests.",
-        torn_numbers,
-        "CON-004.modbus",
-        "CON-004",
-    ),
-    _mutant(
+    defect("MU-38", "modbus", "A late answer is given to the next call.", over_a_stream(_READ_HOLDING, 3), "CON-002"),
+    defect("MU-38o", "opcua", "A late answer is given to the next call.", late_answers, "CON-002"),
+    defect("MU-41c", "modbus", "The two registers of a number are read in two requests.", torn_numbers, "CON-004"),
+    defect(
         "MU-41o",
         "opcua",
         "Of two writes at the same time only one is sent, and both are told as successes.",
         lost_update,
-        "CON-004.opcua",
         "CON-004",
     ),
-    _mutant(
-        "MU-37w",
-        "modbus",
-        "Of two writes within 10 ms each sends the value of the other.",
-        exchanged_values,
-        "CON-004.modbus",
-        "CON-004",
+    defect(
+        "MU-37w", "modbus", "Of two writes within 10 ms each sends the value of the other.", exchanged_values, "CON-004"
     ),
-    _mutant(
+    defect(
         "MU-37v",
         "modbus",
         "Of several writes at the same time all send the value of the last.",
         last_value_for_all,
-        "CON-004.modbus",
         "CON-004",
     ),
-    _mutant(
-        "MU-90h",
-        "modbus",
-        "Every read makes a connection and leaves it open.",
-        connection_for_each_read,
-        "CON-006.modbus",
-        "CON-006",
+    defect(
+        "MU-90h", "modbus", "Every read makes a connection and leaves it open.", connection_for_each_read, "CON-006"
     ),
-    _mutant(
+    defect(
         "MU-90p",
         "modbus",
         "Every read has a connection of its own while it lasts.",
         connection_during_each_read,
-        "CON-006.modbus",
         "CON-006",
     ),
-    _mutant(
-        "MU-92", "modbus", "A device that is silent holds up the whole session.", blocking, "CON-005.modbus", "CON-005"
-    ),
-    _mutant(
+    defect("MU-92", "modbus", "A device that is silent holds up the whole session.", blocking, "CON-005"),
+    defect(
         "MU-92k",
         "s7",
         "A message is looked at only when the one before it has been answered.",
         one_message_at_a_time,
-        "CON-005.s7",
         "CON-005",
     ),
 )

@@ -11,11 +11,11 @@ from typing import Any
 from ...core import AdapterServer
 from ..any_protocol import answers_from_memory_when_gone, guard_after_sending
 from ..claims import local_time
-from ..mutant import Bend, Data, Mutant, told
+from ..defect import Change, Data, Defect, defect, told
 from .enc import as_zero
-from .further import beginning, cut_off, declared, last_answer, merged, module_of, stripped
+from .further import beginning, cut_off, last_answer, merged, module_of, stripped
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ, _READ_ALIAS, _WRITE_ALIAS = "read_analog_inputs", "read_point_by_alias", "write_point_by_alias"
 _INDEX_BITS = 16
@@ -64,15 +64,15 @@ def _six_digits(data: Data) -> Data:
     return {**data, "value": float(f"{data['value']:.6g}")} if isinstance(data["value"], float) else data
 
 
-def _binary_command(change: Callable[..., tuple[Any, ...]]) -> Bend:
+def _binary_command(change: Callable[..., tuple[Any, ...]]) -> Change:
     """Return the defect that of a command of a binary output something else is sent: what ``change`` makes of code, count and times."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         tools = _module("tools")
         genuine = tools.binary_command
         tools.binary_command = lambda index, *given: genuine(index, *change(*given))
 
-    return bend
+    return apply
 
 
 def _latched(code: str, count: int, on_ms: int, off_ms: int) -> tuple[Any, ...]:
@@ -104,124 +104,90 @@ def _set(arguments: Any) -> Data:
     }
 
 
-_mutant = partial(declared, "dnp3")
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
-        "MU-04dnp",
-        "rd",
-        "RD-001 RD-004",
-        "RD-001 RD-004",
-        told(_READ, change=_positive),
-        "An analog input is read without its sign.",
+DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-04dnp", "dnp3", "An analog input is read without its sign.", told(_READ, change=_positive), "RD-001 RD-004"
     ),
-    _mutant("MU-14dc", "wr", "WR-001", "WR-001", _binary_command(_latched), "A pulse is sent as a latch."),
-    _mutant(
-        "MU-09dt", "wr", "WR-001", "WR-001", _binary_command(_a_second), "The time of a pulse is a second at most."
-    ),
-    _mutant("MU-09dq", "wr", "WR-001", "WR-001", _binary_command(_once), "Of several pulses one is sent."),
-    _mutant(
+    defect("MU-14dc", "dnp3", "A pulse is sent as a latch.", _binary_command(_latched), "WR-001"),
+    defect("MU-09dt", "dnp3", "The time of a pulse is a second at most.", _binary_command(_a_second), "WR-001"),
+    defect("MU-09dq", "dnp3", "Of several pulses one is sent.", _binary_command(_once), "WR-001"),
+    defect(
         "MU-20dw",
-        "wr",
-        "WR-004",
-        "WR-004",
-        guard_after_sending(_WRITE_ALIAS),
+        "dnp3",
         "With writes disabled an alias is written, and then denied.",
+        guard_after_sending(_WRITE_ALIAS),
+        "WR-004",
     ),
-    _mutant(
-        "MU-09dnp",
-        "adr",
-        "ADR-003",
-        "ADR-003",
-        _clamped,
-        "A setpoint beyond 32 bits is set to the largest number that fits.",
+    defect(
+        "MU-09dnp", "dnp3", "A setpoint beyond 32 bits is set to the largest number that fits.", _clamped, "ADR-003"
     ),
-    _mutant(
+    defect(
         "MU-11dnp",
-        "adr",
-        "ADR-004",
-        "ADR-004",
-        _numbers_from_texts,
+        "dnp3",
         "A text with a number in it sets an analog output to the number.",
+        _numbers_from_texts,
+        "ADR-004",
     ),
-    _mutant(
-        "MU-06dnp",
-        "adr",
-        "ADR-002",
-        "ADR-002",
-        cut_off(_READ, "start_index", _INDEX_BITS),
-        "Of an index the last 16 bits count.",
+    defect(
+        "MU-06dnp", "dnp3", "Of an index the last 16 bits count.", cut_off(_READ, "start_index", _INDEX_BITS), "ADR-002"
     ),
-    _mutant(
+    defect(
         "MU-37dnp",
-        "con",
-        "CON-001",
-        "CON-001",
-        last_answer(_READ),
+        "dnp3",
         "Of several DNP3 reads at the same time all are told what the last one has found.",
+        last_answer(_READ),
+        "CON-001",
     ),
-    _mutant(
+    defect(
         "MU-41dnp",
-        "con",
-        "CON-004",
-        "CON-004",
-        merged(_WRITE_ALIAS, lambda asked: asked.alias, _set),
+        "dnp3",
         "Of two setpoints at the same time only one is sent, and both are told as successes.",
+        merged(_WRITE_ALIAS, lambda asked: asked.alias, _set),
+        "CON-004",
     ),
-    _mutant(
-        "MU-56dnp",
-        "enc",
-        "ENC-004",
-        "ENC-004",
-        told(_READ_ALIAS, change=as_zero),
-        "An analog input that is NaN is 0.",
-    ),
-    _mutant(
+    defect("MU-56dnp", "dnp3", "An analog input that is NaN is 0.", told(_READ_ALIAS, change=as_zero), "ENC-004"),
+    defect(
         "MU-57dnp",
-        "enc",
-        "ENC-003",
-        "ENC-003",
-        told(_READ_ALIAS, change=_six_digits),
+        "dnp3",
         "Of a floating-point number six digits are told.",
+        told(_READ_ALIAS, change=_six_digits),
+        "ENC-003",
     ),
-    _mutant(
+    defect(
         "MU-123dl",
-        "enc",
-        "ENC-006",
-        "ENC-006",
-        told(_READ_ALIAS, change=beginning),
+        "dnp3",
         "Of an octet string the first 20 characters are read.",
+        told(_READ_ALIAS, change=beginning),
+        "ENC-006",
     ),
-    _mutant(
+    defect(
         "MU-123d",
-        "enc",
-        "ENC-006",
-        "ENC-006",
-        told(_READ_ALIAS, change=stripped),
+        "dnp3",
         "An octet string is read without the spaces around it.",
+        told(_READ_ALIAS, change=stripped),
+        "ENC-006",
     ),
-    _mutant(
+    defect(
         "MU-124d",
-        "enc",
+        "dnp3",
+        "started_at of a DNP3 answer is the local time with a Z behind it.",
+        local_time,
         "ENC-003 ENC-004 ENC-006 ENC-007",
         "ENC-007",
-        local_time,
-        "started_at of a DNP3 answer is the local time with a Z behind it.",
     ),
-    _mutant(
+    defect(
         "MU-93dnp",
-        "res",
+        "dnp3",
+        "A DNP3 frame with a wrong checksum ends the adapter.",
+        _ends_on_a_wrong_checksum,
         "RES-003",
         "MCP-007",
-        _ends_on_a_wrong_checksum,
-        "A DNP3 frame with a wrong checksum ends the adapter.",
     ),
-    _mutant(
+    defect(
         "MU-35dnp",
-        "rec",
-        "REC-002",
-        "REC-002",
-        answers_from_memory_when_gone("read_analog_inputs"),
+        "dnp3",
         "While the device is gone, a read of analog inputs succeeds with what was read before.",
+        answers_from_memory_when_gone("read_analog_inputs"),
+        "REC-002",
     ),
 )

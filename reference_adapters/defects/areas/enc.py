@@ -14,9 +14,9 @@ from ...mqtt.inbox import Inbox
 from ...opcua import tools as opcua_tools
 from ...opcua import values as opcua_values
 from ..claims import local_time
-from ..mutant import Bend, Data, Mutant, told
+from ..defect import Change, Data, Defect, defect, told
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _SWAPPED_BYTES: Any = {"ABCD": "BADC", "BADC": "ABCD", "CDAB": "DCBA", "DCBA": "CDAB"}
 _SWAPPED_WORDS: Any = {"ABCD": "CDAB", "CDAB": "ABCD", "BADC": "DCBA", "DCBA": "BADC"}
@@ -39,7 +39,7 @@ def bytes_swapped(server: AdapterServer) -> None:
     modbus_tools.encode = lambda value, kind, order: encode(value, kind, _SWAPPED_BYTES[order])
 
 
-def _typed(change: Any) -> Bend:
+def _typed(change: Any) -> Change:
     return told(*_TYPED, change=change)
 
 
@@ -49,7 +49,7 @@ def _rounded(data: Data) -> Data:
     return data
 
 
-def _nodes(change: Any) -> Bend:
+def _nodes(change: Any) -> Change:
     return told("read_opcua_node", change=change)
 
 
@@ -136,149 +136,55 @@ def local_timestamps(server: AdapterServer) -> None:
     opcua_tools.timestamp = opcua_values.timestamp = timestamp
 
 
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        id="MU-03",
-        protocol="modbus",
-        sentence="The words of numbers of 32 bits are swapped when they are read.",
-        bend=words_swapped_in_reads,
-        items="ENC-001.modbus ENC-003.modbus ENC-004.modbus",
-        requirements="ENC-001 ENC-003 ENC-004",
-        areas="enc",
+DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-03",
+        "modbus",
+        "The words of numbers of 32 bits are swapped when they are read.",
+        words_swapped_in_reads,
+        "ENC-001 ENC-003 ENC-004",
     ),
-    Mutant(
-        id="MU-04e",
-        protocol="modbus",
-        sentence="The bytes of every register of a number are swapped, in reads and writes alike.",
-        bend=bytes_swapped,
-        items="ENC-001.modbus ENC-003.modbus ENC-004.modbus ENC-005.modbus",
-        requirements="ENC-001 ENC-003 ENC-004 ENC-005",
-        areas="enc",
+    defect(
+        "MU-04e",
+        "modbus",
+        "The bytes of every register of a number are swapped, in reads and writes alike.",
+        bytes_swapped,
+        "ENC-001 ENC-003 ENC-004 ENC-005",
     ),
-    Mutant(
-        id="MU-55",
-        protocol="modbus",
-        sentence="NaN is in the JSON as a word of its own.",
-        bend=bare_nan,
-        items="ENC-004.modbus",
-        requirements="ENV-003",
-        areas="enc",
+    defect("MU-55", "modbus", "NaN is in the JSON as a word of its own.", bare_nan, "ENC-004", "ENV-003"),
+    defect("MU-56", "modbus", "NaN is null, and nothing says that it was NaN.", _typed(_as_null), "ENC-004"),
+    defect("MU-56o", "opcua", "NaN is 0.", _nodes(as_zero), "ENC-004"),
+    defect(
+        "MU-56q",
+        "mqtt",
+        "A metric that is NaN is null, and nothing says that it was NaN.",
+        metrics_without_special,
+        "ENC-004",
     ),
-    Mutant(
-        id="MU-56",
-        protocol="modbus",
-        sentence="NaN is null, and nothing says that it was NaN.",
-        bend=_typed(_as_null),
-        items="ENC-004.modbus",
-        requirements="ENC-004",
-        areas="enc",
+    defect(
+        "MU-57e", "modbus", "Numbers in registers are rounded to two decimals.", _typed(_rounded), "ENC-001 ENC-003"
     ),
-    Mutant(
-        id="MU-56o",
-        protocol="opcua",
-        sentence="NaN is 0.",
-        bend=_nodes(as_zero),
-        items="ENC-004.opcua",
-        requirements="ENC-004",
-        areas="enc",
+    defect(
+        "MU-57o",
+        "opcua",
+        "Values of nodes are rounded to two decimals.",
+        _nodes(_rounded),
+        "ENC-003 ENC-004",
+        "ENC-003",
     ),
-    Mutant(
-        id="MU-56q",
-        protocol="mqtt",
-        sentence="A metric that is NaN is null, and nothing says that it was NaN.",
-        bend=metrics_without_special,
-        items="ENC-004.mqtt",
-        requirements="ENC-004",
-        areas="enc",
+    defect("MU-58", "modbus", "Counters above 2^53 are rounded.", _typed(by_way_of_float), "ENC-001 ENC-005"),
+    defect("MU-58o", "opcua", "Whole numbers of nodes above 2^53 are rounded.", _nodes(by_way_of_float), "ENC-005"),
+    defect("MU-58q", "mqtt", "Metrics above 2^53 are rounded.", metrics_by_way_of_float, "ENC-005"),
+    defect("MU-123", "mqtt", "Messages that are no text are lost.", binary_is_lost, "ENC-006"),
+    defect("MU-123o", "opcua", "Characters beyond ASCII become question marks.", ascii_texts, "ENC-006"),
+    defect("MU-123m", "modbus", "Texts of the identification are read as Latin-1.", latin_identification, "ENC-006"),
+    defect(
+        "MU-124e",
+        "modbus",
+        "started_at is the local time with a Z behind it.",
+        local_time,
+        "ENC-001 ENC-003 ENC-004 ENC-005 ENC-006 ENC-007",
+        "ENC-007",
     ),
-    Mutant(
-        id="MU-57e",
-        protocol="modbus",
-        sentence="Numbers in registers are rounded to two decimals.",
-        bend=_typed(_rounded),
-        items="ENC-001.modbus ENC-003.modbus",
-        requirements="ENC-001 ENC-003",
-        areas="enc",
-    ),
-    Mutant(
-        id="MU-57o",
-        protocol="opcua",
-        sentence="Values of nodes are rounded to two decimals.",
-        bend=_nodes(_rounded),
-        items="ENC-003.opcua ENC-004.opcua",
-        requirements="ENC-003",
-        areas="enc",
-    ),
-    Mutant(
-        id="MU-58",
-        protocol="modbus",
-        sentence="Counters above 2^53 are rounded.",
-        bend=_typed(by_way_of_float),
-        items="ENC-001.modbus ENC-005.modbus",
-        requirements="ENC-001 ENC-005",
-        areas="enc",
-    ),
-    Mutant(
-        id="MU-58o",
-        protocol="opcua",
-        sentence="Whole numbers of nodes above 2^53 are rounded.",
-        bend=_nodes(by_way_of_float),
-        items="ENC-005.opcua",
-        requirements="ENC-005",
-        areas="enc",
-    ),
-    Mutant(
-        id="MU-58q",
-        protocol="mqtt",
-        sentence="Metrics above 2^53 are rounded.",
-        bend=metrics_by_way_of_float,
-        items="ENC-005.mqtt",
-        requirements="ENC-005",
-        areas="enc",
-    ),
-    Mutant(
-        id="MU-123",
-        protocol="mqtt",
-        sentence="Messages that are no text are lost.",
-        bend=binary_is_lost,
-        items="ENC-006.mqtt",
-        requirements="ENC-006",
-        areas="enc",
-    ),
-    Mutant(
-        id="MU-123o",
-        protocol="opcua",
-        sentence="Characters beyond ASCII become question marks.",
-        bend=ascii_texts,
-        items="ENC-006.opcua",
-        requirements="ENC-006",
-        areas="enc",
-    ),
-    Mutant(
-        id="MU-123m",
-        protocol="modbus",
-        sentence="Texts of the identification are read as Latin-1.",
-        bend=latin_identification,
-        items="ENC-006.modbus",
-        requirements="ENC-006",
-        areas="enc",
-    ),
-    Mutant(
-        id="MU-124e",
-        protocol="modbus",
-        sentence="started_at is the local time with a Z behind it.",
-        bend=local_time,
-        items="ENC-001.modbus ENC-003.modbus ENC-004.modbus ENC-005.modbus ENC-006.modbus ENC-007.modbus",
-        requirements="ENC-007",
-        areas="enc",
-    ),
-    Mutant(
-        id="MU-124o",
-        protocol="opcua",
-        sentence="Timestamps are the local time with a Z behind them.",
-        bend=local_timestamps,
-        items="ENC-007.opcua",
-        requirements="ENC-007",
-        areas="enc",
-    ),
+    defect("MU-124o", "opcua", "Timestamps are the local time with a Z behind them.", local_timestamps, "ENC-007"),
 )

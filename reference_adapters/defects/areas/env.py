@@ -11,9 +11,9 @@ from ...core import server as core_server
 from ...opcua import values as opcua_values
 from ..any_protocol import answers_twice_from_one_exchange, error_is_a_word, extra_member, result
 from ..claims import constant_latency, invented_trace, latency_in_seconds, meta, one_attempt
-from ..mutant import Bend, Data, Handler, Mutant, each, on
+from ..defect import Change, Data, Defect, Handler, around, defect
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 
 _ALL = "ENV-001 ENV-002 ENV-003 ENV-004 ENV-005 ENV-006 ENV-007 ENV-008"
@@ -90,7 +90,7 @@ def talks_like_an_exception(envelope: Data, genuine: Callable[[Data], Data]) -> 
     return genuine({**envelope, "error": error and {**error, "message": f"Exception({error['code']!r}) on None:None"}})
 
 
-def default_endpoint(endpoint: str) -> Bend:
+def default_endpoint(endpoint: str) -> Change:
     """Return the defect that the endpoint is the one of a constant."""
 
     def change(stated: Data) -> None:
@@ -112,253 +112,168 @@ def always_from_the_device(stated: Data) -> None:
     stated["source"] = "device"
 
 
-def scalar_for_one(name: str) -> Bend:
+def scalar_for_one(name: str) -> Change:
     """Return the defect that a list of one value is the value."""
 
-    def changed(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments)
-            values = data["values"]
-            return {**data, "values": values[0] if len(values) == 1 else values}
+    @around(name)
+    async def changed(genuine: Handler, call: Call, arguments: Any) -> Data:
+        data = await genuine(call, arguments)
+        values = data["values"]
+        return {**data, "values": values[0] if len(values) == 1 else values}
 
-        return handler
-
-    return each(name, change=changed)
+    return changed
 
 
-def from_memory_when_gone(name: str) -> Bend:
+def from_memory_when_gone(name: str) -> Change:
     """Return the defect that what cannot be read is what was read last, as if from the device."""
     last: list[Data] = []
 
-    def remembering(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                last[:] = [await genuine(call, arguments)]
-            except AdapterError as error:
-                if error.code not in ("connect_failed", "connection_lost") or not last:
-                    raise
-            return last[0]
+    @around(name)
+    async def remembering(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            last[:] = [await genuine(call, arguments)]
+        except AdapterError as error:
+            if error.code not in ("connect_failed", "connection_lost") or not last:
+                raise
+        return last[0]
 
-        return handler
-
-    return each(name, change=remembering)
+    return remembering
 
 
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        id="MU-46r",
-        protocol="modbus",
-        sentence="A write that may have reached the device is said to be retryable.",
-        bend=result(whatever_failed_may_be_repeated),
-        items=on("modbus", "ENV-001 ENV-002 ENV-005 ENV-006"),
-        requirements="ENV-002",
-        areas="env",
+DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-46r",
+        "modbus",
+        "A write that may have reached the device is said to be retryable.",
+        result(whatever_failed_may_be_repeated),
+        "ENV-001 ENV-002 ENV-005 ENV-006",
+        "ENV-002",
     ),
-    Mutant(
-        id="MU-46s",
-        protocol="s7",
-        sentence="A write that may have reached the device is said to be retryable.",
-        bend=result(whatever_failed_may_be_repeated),
-        items=on("s7", "ENV-001 ENV-002 ENV-005 ENV-006"),
-        requirements="ENV-002",
-        areas="env",
+    defect(
+        "MU-46s",
+        "s7",
+        "A write that may have reached the device is said to be retryable.",
+        result(whatever_failed_may_be_repeated),
+        "ENV-001 ENV-002 ENV-005 ENV-006",
+        "ENV-002",
     ),
-    Mutant(
-        id="MU-46t",
-        protocol="mqtt",
-        sentence="The data of a success say that it failed.",
-        bend=result(warns_in_the_data),
-        items=on("mqtt", _ALL),
-        requirements="ENV-002",
-        areas="env",
+    defect("MU-46t", "mqtt", "The data of a success say that it failed.", result(warns_in_the_data), _ALL, "ENV-002"),
+    defect(
+        "MU-15n",
+        "opcua",
+        "Every answer says that it is from the device, also a refusal for which nothing was sent.",
+        meta(always_from_the_device),
+        "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-008",
+        "ENV-008",
     ),
-    Mutant(
-        id="MU-15n",
-        protocol="opcua",
-        sentence="Every answer says that it is from the device, also a refusal for which nothing was sent.",
-        bend=meta(always_from_the_device),
-        items=on("opcua", "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-008"),
-        requirements="ENV-008",
-        areas="env",
+    defect(
+        "MU-15s",
+        "modbus",
+        "A list of one value is the value.",
+        scalar_for_one("read_multiple_holding_registers"),
+        "ENV-001 ENV-002 ENV-003 ENV-004 ENV-005 ENV-006 ENV-007 ENV-008",
+        "ENV-008 MCP-006 RD-001 REC-001",
     ),
-    Mutant(
-        id="MU-15s",
-        protocol="modbus",
-        sentence="A list of one value is the value.",
-        bend=scalar_for_one("read_multiple_holding_registers"),
-        items=on("modbus", "ENV-001 ENV-002 ENV-003 ENV-004 ENV-005 ENV-006 ENV-007 ENV-008"),
-        requirements="ENV-008 MCP-006 RD-001 REC-001",
-        areas="env",
+    defect("MU-26b", "opcua", "attempts is always 1.", meta(one_attempt), "ENV-002 ENV-003 ENV-005", "ENV-005"),
+    defect("MU-26c", "modbus", "A repeated read counts as one attempt.", counts_calls, "ENV-005"),
+    defect(
+        "MU-32b",
+        "mqtt",
+        "attempts is ten times the number of requests.",
+        meta(counts_tenfold),
+        "ENV-001 ENV-002 ENV-003 ENV-004 ENV-005 ENV-006 ENV-007 ENV-008",
+        "ENV-005",
     ),
-    Mutant(
-        id="MU-26b",
-        protocol="opcua",
-        sentence="attempts is always 1.",
-        bend=meta(one_attempt),
-        items=on("opcua", "ENV-002 ENV-003 ENV-005"),
-        requirements="ENV-005",
-        areas="env",
+    defect(
+        "MU-35e",
+        "modbus",
+        "When the connection breaks, a read succeeds with what was read before.",
+        from_memory_when_gone("read_multiple_holding_registers"),
+        "ENV-008",
     ),
-    Mutant(
-        id="MU-26c",
-        protocol="modbus",
-        sentence="A repeated read counts as one attempt.",
-        bend=counts_calls,
-        items="ENV-005.modbus",
-        requirements="ENV-005",
-        areas="env",
+    defect(
+        "MU-36e",
+        "modbus",
+        "A read of what was read before is answered from memory, as if from the device.",
+        answers_twice_from_one_exchange("read_multiple_holding_registers"),
+        "ENV-001 ENV-002 ENV-004 ENV-005 ENV-006 ENV-007 ENV-008",
+        "ENV-008 RD-001 REC-001",
     ),
-    Mutant(
-        id="MU-32b",
-        protocol="mqtt",
-        sentence="attempts is ten times the number of requests.",
-        bend=meta(counts_tenfold),
-        items=on("mqtt", "ENV-001 ENV-002 ENV-003 ENV-004 ENV-005 ENV-006 ENV-007 ENV-008"),
-        requirements="ENV-005",
-        areas="env",
+    defect(
+        "MU-46e",
+        "modbus",
+        "A broken connection is a success with an error.",
+        result(broken_is_success),
+        "ENV-001 ENV-002 ENV-005 ENV-006 ENV-008",
+        "ENV-002 ENV-008",
     ),
-    Mutant(
-        id="MU-35e",
-        protocol="modbus",
-        sentence="When the connection breaks, a read succeeds with what was read before.",
-        bend=from_memory_when_gone("read_multiple_holding_registers"),
-        items="ENV-008.modbus",
-        requirements="ENV-008",
-        areas="env",
+    defect(
+        "MU-46d",
+        "mqtt",
+        "Failures carry data.",
+        result(failures_carry_data),
+        "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-007 ENV-008",
+        "ENV-002",
     ),
-    Mutant(
-        id="MU-36e",
-        protocol="modbus",
-        sentence="A read of what was read before is answered from memory, as if from the device.",
-        bend=answers_twice_from_one_exchange("read_multiple_holding_registers"),
-        items=on("modbus", "ENV-001 ENV-002 ENV-004 ENV-005 ENV-006 ENV-007 ENV-008"),
-        requirements="ENV-008 RD-001 REC-001",
-        areas="env",
+    defect("MU-55e", "opcua", "NaN is in the JSON as a word of its own.", leaves_nan, "ENV-003"),
+    defect("MU-59c", "mqtt", "latency_ms is in seconds.", meta(latency_in_seconds), "ENV-004"),
+    defect("MU-59d", "modbus", "latency_ms is always 1.0.", meta(constant_latency), "ENV-004"),
+    defect(
+        "MU-60b",
+        "mqtt",
+        "meta.endpoint is a constant of the program.",
+        default_endpoint("mqtt://127.0.0.1:1883"),
+        _ALL,
+        "ENV-006",
     ),
-    Mutant(
-        id="MU-46e",
-        protocol="modbus",
-        sentence="A broken connection is a success with an error.",
-        bend=result(broken_is_success),
-        items=on("modbus", "ENV-001 ENV-002 ENV-005 ENV-006 ENV-008"),
-        requirements="ENV-002 ENV-008",
-        areas="env",
+    defect(
+        "MU-60m",
+        "opcua",
+        "Failures tell less of the call than successes.",
+        result(tells_less_of_failures),
+        "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-007 ENV-008",
+        "ENV-001 ENV-006",
     ),
-    Mutant(
-        id="MU-46d",
-        protocol="mqtt",
-        sentence="Failures carry data.",
-        bend=result(failures_carry_data),
-        items=on("mqtt", "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-007 ENV-008"),
-        requirements="ENV-002",
-        areas="env",
+    defect(
+        "MU-60t",
+        "modbus",
+        "Messages are representations of exceptions.",
+        result(talks_like_an_exception),
+        "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-007 ENV-008",
+        "ENV-006",
     ),
-    Mutant(
-        id="MU-55e",
-        protocol="opcua",
-        sentence="NaN is in the JSON as a word of its own.",
-        bend=leaves_nan,
-        items="ENV-003.opcua",
-        requirements="ENV-003",
-        areas="env",
+    defect(
+        "MU-109",
+        "mqtt",
+        "The JSON of failures is made by hand, and a quotation mark breaks it.",
+        result(made_by_hand),
+        "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-007 ENV-008",
+        "ENV-003",
     ),
-    Mutant(
-        id="MU-59c",
-        protocol="mqtt",
-        sentence="latency_ms is in seconds.",
-        bend=meta(latency_in_seconds),
-        items="ENV-004.mqtt",
-        requirements="ENV-004",
-        areas="env",
+    defect(
+        "MU-115b",
+        "opcua",
+        "The envelope has a member of its own at the top.",
+        result(extra_member),
+        _ALL,
+        "ENV-001 MCP-006",
     ),
-    Mutant(
-        id="MU-59d",
-        protocol="modbus",
-        sentence="latency_ms is always 1.0.",
-        bend=meta(constant_latency),
-        items="ENV-004.modbus",
-        requirements="ENV-004",
-        areas="env",
+    defect(
+        "MU-115e",
+        "mqtt",
+        "The envelope's error is a word instead of an object.",
+        result(error_is_a_word),
+        "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-007 ENV-008",
+        "ENV-001",
     ),
-    Mutant(
-        id="MU-60b",
-        protocol="mqtt",
-        sentence="meta.endpoint is a constant of the program.",
-        bend=default_endpoint("mqtt://127.0.0.1:1883"),
-        items=on("mqtt", _ALL),
-        requirements="ENV-006",
-        areas="env",
+    defect(
+        "MU-116b",
+        "modbus",
+        "The trace has another unit, function and address than the wire.",
+        meta(invented_trace),
+        _ALL,
+        "ENV-007",
     ),
-    Mutant(
-        id="MU-60m",
-        protocol="opcua",
-        sentence="Failures tell less of the call than successes.",
-        bend=result(tells_less_of_failures),
-        items=on("opcua", "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-007 ENV-008"),
-        requirements="ENV-001 ENV-006",
-        areas="env",
-    ),
-    Mutant(
-        id="MU-60t",
-        protocol="modbus",
-        sentence="Messages are representations of exceptions.",
-        bend=result(talks_like_an_exception),
-        items=on("modbus", "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-007 ENV-008"),
-        requirements="ENV-006",
-        areas="env",
-    ),
-    Mutant(
-        id="MU-109",
-        protocol="mqtt",
-        sentence="The JSON of failures is made by hand, and a quotation mark breaks it.",
-        bend=result(made_by_hand),
-        items=on("mqtt", "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-007 ENV-008"),
-        requirements="ENV-003",
-        areas="env",
-    ),
-    Mutant(
-        id="MU-115b",
-        protocol="opcua",
-        sentence="The envelope has a member of its own at the top.",
-        bend=result(extra_member),
-        items=on("opcua", _ALL),
-        requirements="ENV-001 MCP-006",
-        areas="env",
-    ),
-    Mutant(
-        id="MU-115e",
-        protocol="mqtt",
-        sentence="The envelope's error is a word instead of an object.",
-        bend=result(error_is_a_word),
-        items=on("mqtt", "ENV-001 ENV-002 ENV-003 ENV-005 ENV-006 ENV-007 ENV-008"),
-        requirements="ENV-001",
-        areas="env",
-    ),
-    Mutant(
-        id="MU-116b",
-        protocol="modbus",
-        sentence="The trace has another unit, function and address than the wire.",
-        bend=meta(invented_trace),
-        items=on("modbus", _ALL),
-        requirements="ENV-007",
-        areas="env",
-    ),
-    Mutant(
-        id="MU-116q",
-        protocol="mqtt",
-        sentence="The trace has another topic than the wire.",
-        bend=meta(other_topic),
-        items=on("mqtt", _ALL),
-        requirements="ENV-007",
-        areas="env",
-    ),
-    Mutant(
-        id="MU-116n",
-        protocol="opcua",
-        sentence="There is no trace.",
-        bend=meta(no_trace),
-        items="ENV-007.opcua",
-        requirements="ENV-007",
-        areas="env",
-    ),
+    defect("MU-116q", "mqtt", "The trace has another topic than the wire.", meta(other_topic), _ALL, "ENV-007"),
+    defect("MU-116n", "opcua", "There is no trace.", meta(no_trace), "ENV-007"),
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
@@ -10,9 +9,9 @@ from ...modbus import link as modbus_link
 from ...mqtt import connection as mqtt_connection
 from ...mqtt import link as mqtt_link
 from ..any_protocol import guard_after_sending, named_after_exceptions, result
-from ..mutant import Bend, Data, Handler, Mutant, each, failing, on, succeeding, wrap
+from ..defect import Change, Data, Defect, Handler, around, defect, failing, succeeding
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 
 _GONE = ("connect_failed", "connection_lost", "timeout")
@@ -55,7 +54,7 @@ def subscriptions_are_always_granted(server: AdapterServer) -> None:
     mqtt_link._REFUSED = 0x100
 
 
-def one_code(code: str) -> Bend:
+def one_code(code: str) -> Change:
     """Return the defect that every failure of the connection has this code."""
 
     def change(call: Call, error: AdapterError) -> Exception | None:
@@ -101,42 +100,36 @@ def connects_first_opcua(server: AdapterServer) -> None:
     server._perform = perform
 
 
-def errors_among_values(genuine: Handler) -> Handler:
-    async def handler(call: Call, arguments: Any) -> Data:
-        try:
-            data: Data = await genuine(call, arguments)
-        except AdapterError as error:
-            if error.code != "partial_failure":
-                raise
-            items = error.partial["items"]
-            shown = [item if item["success"] else {**item, "value": f"Error: {item}"} for item in items]
-            return {"items": [{**item, "success": True} for item in shown]}
-        return data
-
-    return handler
+async def errors_among_values(genuine: Handler, call: Call, arguments: Any) -> Data:
+    try:
+        data = await genuine(call, arguments)
+    except AdapterError as error:
+        if error.code != "partial_failure":
+            raise
+        items = error.partial["items"]
+        shown = [item if item["success"] else {**item, "value": f"Error: {item}"} for item in items]
+        return {"items": [{**item, "success": True} for item in shown]}
+    return data
 
 
-def as_if_all_were_written(status: str) -> Callable[[Handler], Handler]:
+def as_if_all_were_written(status: str) -> Change:
     """Return the defect that a write of several items is a success when some are refused.
 
     Args:
         status: what is told of those.
     """
 
-    def change(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "partial_failure":
-                    raise
-                told = [(item["node_id"], item.get("status", status)) for item in error.partial["items"]]
-                data = {"items": [{"node_id": node, "success": True, "status": found} for node, found in told]}
-            return data
+    @around("write_multiple_opcua_nodes")
+    async def all_written(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            return await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code != "partial_failure":
+                raise
+            told = [(item["node_id"], item.get("status", status)) for item in error.partial["items"]]
+            return {"items": [{"node_id": node, "success": True, "status": found} for node, found in told]}
 
-        return handler
-
-    return change
+    return all_written
 
 
 def nothing_of_the_rest(call: Call, error: AdapterError) -> Exception | None:
@@ -145,218 +138,153 @@ def nothing_of_the_rest(call: Call, error: AdapterError) -> Exception | None:
     return AdapterError("partial_failure", error.message, partial={"items": []})
 
 
-def retries_when_back(*names: str) -> Bend:
+def retries_when_back(*names: str) -> Change:
     """Return the defect that a write by these tools that failed is done again after the next call of another one that succeeds."""
     kept: list[tuple[Handler, Any]] = []
 
-    def keeping(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code == "connect_failed":
-                    kept.append((genuine, arguments))
-                raise
-            return data
+    @around(*names)
+    async def keeping(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            return await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code == "connect_failed":
+                kept.append((genuine, arguments))
+            raise
 
-        return handler
+    async def delivering(genuine: Handler, call: Call, arguments: Any) -> Data:
+        data = await genuine(call, arguments)
+        while kept:
+            write, earlier = kept.pop()
+            await write(Call(protocol="", operation="", endpoint="", writes=True), earlier)
+        return data
 
-    def delivering(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments)
-            while kept:
-                write, earlier = kept.pop()
-                await write(Call(protocol="", operation="", endpoint="", writes=True), earlier)
-            return data
+    def apply(server: AdapterServer) -> None:
+        keeping(server)
+        around(*server._tools.keys() - names)(delivering)(server)
 
-        return handler
-
-    def bend(server: AdapterServer) -> None:
-        for name in list(server._tools):
-            wrap(server, name, keeping if name in names else delivering)
-
-    return bend
+    return apply
 
 
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        id="MU-20b",
-        protocol="modbus",
-        sentence="With writes disabled the write is sent, and then denied.",
-        bend=guard_after_sending("write_register"),
-        items=on("modbus", "ERR-002 ERR-005 ERR-006"),
-        requirements="ERR-006 WR-003",
-        areas="err",
+DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-20b",
+        "modbus",
+        "With writes disabled the write is sent, and then denied.",
+        guard_after_sending("write_register"),
+        "ERR-002 ERR-005 ERR-006",
+        "ERR-006 WR-003",
     ),
-    Mutant(
-        id="MU-20u",
-        protocol="opcua",
-        sentence="A write whose answer never came was not sent.",
-        bend=says_not_sent,
-        items=on("opcua", "ERR-003 ERR-005 ERR-006"),
-        requirements="ERR-006",
-        areas="err",
+    defect(
+        "MU-20u",
+        "opcua",
+        "A write whose answer never came was not sent.",
+        says_not_sent,
+        "ERR-003 ERR-005 ERR-006",
+        "ERR-006",
     ),
-    Mutant(
-        id="MU-29e",
-        protocol="modbus",
-        sentence="A write that failed for want of a connection is made up for at the next call.",
-        bend=retries_when_back("write_register"),
-        items="ERR-006.modbus",
-        requirements="ERR-006",
-        areas="err",
+    defect(
+        "MU-29e",
+        "modbus",
+        "A write that failed for want of a connection is made up for at the next call.",
+        retries_when_back("write_register"),
+        "ERR-006",
     ),
-    Mutant(
-        id="MU-45b",
-        protocol="modbus",
-        sentence="Every exception of the device is a protocol_error.",
-        bend=failing(change=collapsed),
-        items="ERR-002.modbus",
-        requirements="ERR-002",
-        areas="err",
+    defect(
+        "MU-45b", "modbus", "Every exception of the device is a protocol_error.", failing(change=collapsed), "ERR-002"
     ),
-    Mutant(
-        id="MU-45c",
-        protocol="modbus",
-        sentence="A parity error of the device's memory is an unknown exception.",
-        bend=parity_is_unknown,
-        items="ERR-002.modbus",
-        requirements="ERR-002",
-        areas="err",
+    defect(
+        "MU-45c",
+        "modbus",
+        "A parity error of the device's memory is an unknown exception.",
+        parity_is_unknown,
+        "ERR-002",
     ),
-    Mutant(
-        id="MU-46b",
-        protocol="modbus",
-        sentence="A busy device is a success without data.",
-        bend=succeeding("read_multiple_holding_registers", code="device_busy", answer=_nothing),
-        items="ERR-002.modbus",
-        requirements="ERR-002",
-        areas="err",
+    defect(
+        "MU-46b",
+        "modbus",
+        "A busy device is a success without data.",
+        succeeding("read_multiple_holding_registers", code="device_busy", answer=_nothing),
+        "ERR-002",
     ),
-    Mutant(
-        id="MU-61",
-        protocol="opcua",
-        sentence="In a list of values there is the text of an error.",
-        bend=each("read_multiple_opcua_nodes", change=errors_among_values),
-        items="ERR-008.opcua",
-        requirements="ERR-008",
-        areas="err",
+    defect(
+        "MU-61",
+        "opcua",
+        "In a list of values there is the text of an error.",
+        around("read_multiple_opcua_nodes")(errors_among_values),
+        "ERR-008",
     ),
-    Mutant(
-        id="MU-61w",
-        protocol="opcua",
-        sentence="Of several writes all are told as written when the server has refused one.",
-        bend=each("write_multiple_opcua_nodes", change=as_if_all_were_written("Good")),
-        items="WR-001.opcua",
-        requirements="ERR-008",
-        areas="wr",
+    defect(
+        "MU-61w",
+        "opcua",
+        "Of several writes all are told as written when the server has refused one.",
+        as_if_all_were_written("Good"),
+        "WR-001",
+        "ERR-008",
     ),
-    Mutant(
-        id="MU-61l",
-        protocol="opcua",
-        sentence="Several writes of which one was refused are a success, with the refusal in the list.",
-        bend=each("write_multiple_opcua_nodes", change=as_if_all_were_written("BadUserAccessDenied")),
-        items="WR-001.opcua",
-        requirements="ERR-008",
-        areas="wr",
+    defect(
+        "MU-61l",
+        "opcua",
+        "Several writes of which one was refused are a success, with the refusal in the list.",
+        as_if_all_were_written("BadUserAccessDenied"),
+        "WR-001",
+        "ERR-008",
     ),
-    Mutant(
-        id="MU-61p",
-        protocol="opcua",
-        sentence="Of several nodes none is told when one is missing.",
-        bend=failing("read_multiple_opcua_nodes", change=nothing_of_the_rest),
-        items="ERR-008.opcua",
-        requirements="ERR-008",
-        areas="err",
+    defect(
+        "MU-61p",
+        "opcua",
+        "Of several nodes none is told when one is missing.",
+        failing("read_multiple_opcua_nodes", change=nothing_of_the_rest),
+        "ERR-008",
     ),
-    Mutant(
-        id="MU-62",
-        protocol="modbus",
-        sentence="While the device is off, invalid input is a failed connection.",
-        bend=connects_first,
-        items="ERR-007.modbus",
-        requirements="ERR-007",
-        areas="err",
+    defect(
+        "MU-62", "modbus", "While the device is off, invalid input is a failed connection.", connects_first, "ERR-007"
     ),
-    Mutant(
-        id="MU-62q",
-        protocol="mqtt",
-        sentence="While the broker is off, invalid input is a failed connection.",
-        bend=connects_first,
-        items="ERR-007.mqtt",
-        requirements="ERR-007",
-        areas="err",
+    defect(
+        "MU-62q", "mqtt", "While the broker is off, invalid input is a failed connection.", connects_first, "ERR-007"
     ),
-    Mutant(
-        id="MU-62o",
-        protocol="opcua",
-        sentence="While the server is off, invalid input is a failed connection.",
-        bend=connects_first_opcua,
-        items="ERR-007.opcua",
-        requirements="ERR-007",
-        areas="err",
+    defect(
+        "MU-62o",
+        "opcua",
+        "While the server is off, invalid input is a failed connection.",
+        connects_first_opcua,
+        "ERR-007",
     ),
-    Mutant(
-        id="MU-117b",
-        protocol="opcua",
-        sentence="Error codes are names of exceptions, and the same failure has now one, then another.",
-        bend=result(named_after_exceptions()),
-        items=on("opcua", "ERR-001 ERR-003 ERR-005 ERR-006 ERR-007 ERR-008"),
-        requirements="ENV-001 ERR-001",
-        areas="err",
+    defect(
+        "MU-117b",
+        "opcua",
+        "Error codes are names of exceptions, and the same failure has now one, then another.",
+        result(named_after_exceptions()),
+        "ERR-001 ERR-003 ERR-005 ERR-006 ERR-007 ERR-008",
+        "ENV-001 ERR-001",
     ),
-    Mutant(
-        id="MU-118b",
-        protocol="opcua",
-        sentence="Every Bad status is a protocol_error.",
-        bend=failing("read_opcua_node", "write_opcua_node", change=all_alike),
-        items="ERR-003.opcua",
-        requirements="ERR-003",
-        areas="err",
+    defect(
+        "MU-118b",
+        "opcua",
+        "Every Bad status is a protocol_error.",
+        failing("read_opcua_node", "write_opcua_node", change=all_alike),
+        "ERR-003",
     ),
-    Mutant(
-        id="MU-118d",
-        protocol="opcua",
-        sentence="A denied access is a missing node.",
-        bend=failing(change=denied_is_an_address),
-        items="ERR-003.opcua",
-        requirements="ERR-003",
-        areas="err",
+    defect("MU-118d", "opcua", "A denied access is a missing node.", failing(change=denied_is_an_address), "ERR-003"),
+    defect("MU-119", "mqtt", "A connection that the broker refuses is a timeout.", refusal_is_a_timeout, "ERR-004"),
+    defect(
+        "MU-119s",
+        "mqtt",
+        "A subscription that the broker refuses is a success.",
+        subscriptions_are_always_granted,
+        "ERR-001 ERR-004",
     ),
-    Mutant(
-        id="MU-119",
-        protocol="mqtt",
-        sentence="A connection that the broker refuses is a timeout.",
-        bend=refusal_is_a_timeout,
-        items="ERR-004.mqtt",
-        requirements="ERR-004",
-        areas="err",
+    defect(
+        "MU-120b",
+        "opcua",
+        "A refused, a reset and a silent connection are all a lost one.",
+        one_code("connection_lost"),
+        "ERR-003 ERR-005",
     ),
-    Mutant(
-        id="MU-119s",
-        protocol="mqtt",
-        sentence="A subscription that the broker refuses is a success.",
-        bend=subscriptions_are_always_granted,
-        items=on("mqtt", "ERR-001 ERR-004"),
-        requirements="ERR-001 ERR-004",
-        areas="err",
-    ),
-    Mutant(
-        id="MU-120b",
-        protocol="opcua",
-        sentence="A refused, a reset and a silent connection are all a lost one.",
-        bend=one_code("connection_lost"),
-        items=on("opcua", "ERR-003 ERR-005"),
-        requirements="ERR-003 ERR-005",
-        areas="err",
-    ),
-    Mutant(
-        id="MU-120c",
-        protocol="mqtt",
-        sentence="A refused, a reset and a silent connection are all a timeout.",
-        bend=one_code("timeout"),
-        items=on("mqtt", "ERR-004 ERR-005"),
-        requirements="ERR-004 ERR-005",
-        areas="err",
+    defect(
+        "MU-120c",
+        "mqtt",
+        "A refused, a reset and a silent connection are all a timeout.",
+        one_code("timeout"),
+        "ERR-004 ERR-005",
     ),
 )

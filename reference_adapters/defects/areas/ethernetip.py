@@ -11,13 +11,12 @@ from typing import Any
 from ...core import AdapterServer, Call
 from ..any_protocol import answers_from_memory_when_gone, guard_after_sending
 from ..claims import local_time
-from ..mutant import Data, Mutant, failing, told
+from ..defect import Data, Defect, defect, failing, told
 from ..refusals import _end
 from .enc import as_zero, by_way_of_float
 from .further import (
     altered,
     controls_always,
-    declared,
     last_answer,
     lower_half,
     merged,
@@ -27,7 +26,7 @@ from .further import (
     truth,
 )
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ, _WRITE = "read_tag", "write_tag"
 
@@ -86,132 +85,116 @@ def _beginning(value: Any, kind: str) -> Any:
     return value[:20] if kind == "STRING" and isinstance(value, str) else value
 
 
-_mutant = partial(declared, "ethernetip")
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
+DEFECTS: tuple[Defect, ...] = (
+    defect(
         "MU-14eiw",
-        "wr",
+        "ethernetip",
+        "EtherNet/IP writes are told and not sent.",
+        _confirmed_at_once,
         "WR-001 WR-002 WR-003 WR-004 WR-005 WR-006 WR-007 WR-010",
         "WR-001 WR-006 WR-007",
-        _confirmed_at_once,
-        "EtherNet/IP writes are told and not sent.",
     ),
-    _mutant("MU-04eiw", "rd", "RD-001", "RD-001", told(_READ, change=_signed), "A UINT is read with a sign."),
-    _mutant(
+    defect("MU-04eiw", "ethernetip", "A UINT is read with a sign.", told(_READ, change=_signed), "RD-001"),
+    defect(
         "MU-02eiw",
-        "wr",
-        "WR-002",
-        "WR-002",
-        _one_element_more,
+        "ethernetip",
         "Elements of an array are written with the one that follows them.",
+        _one_element_more,
+        "WR-002",
     ),
-    _mutant(
+    defect(
         "MU-20eib",
-        "wr",
-        "WR-004",
-        "WR-004",
-        guard_after_sending("write_tag_by_alias"),
+        "ethernetip",
         "With writes disabled the tag of an alias is written, and the write then denied.",
+        guard_after_sending("write_tag_by_alias"),
+        "WR-004",
     ),
-    _mutant(
+    defect(
         "MU-08eiw",
-        "adr",
-        "ADR-003",
-        "ADR-003",
-        reencoded("ethernetip", lower_half),
+        "ethernetip",
         "Of a value that does not fit into a tag of the type INT the lower half is written.",
+        reencoded("ethernetip", lower_half),
+        "ADR-003",
     ),
-    _mutant(
+    defect(
         "MU-06ei",
-        "adr",
-        "ADR-002",
-        "ADR-002",
-        altered(_READ, "tag_name", _cut_index),
+        "ethernetip",
         "Of the index of an element the last 32 bits count.",
+        altered(_READ, "tag_name", _cut_index),
+        "ADR-002",
     ),
-    _mutant(
-        "MU-11ei", "adr", "ADR-004", "ADR-004", reencoded("ethernetip", truth), "The word false is true for a BOOL."
-    ),
-    _mutant(
+    defect("MU-11ei", "ethernetip", "The word false is true for a BOOL.", reencoded("ethernetip", truth), "ADR-004"),
+    defect(
         "MU-37ei",
-        "con",
-        "CON-001",
-        "CON-001",
-        last_answer(_READ),
+        "ethernetip",
         "Of several reads of tags at the same time all are told what the last one has found.",
+        last_answer(_READ),
+        "CON-001",
     ),
-    _mutant(
+    defect(
         "MU-41ei",
-        "con",
-        "CON-004",
-        "CON-004",
-        merged(_WRITE, lambda asked: asked.tag_name, _written),
+        "ethernetip",
         "Of two writes of one tag at the same time only one is sent, and both are told as successes.",
+        merged(_WRITE, lambda asked: asked.tag_name, _written),
+        "CON-004",
     ),
-    _mutant("MU-56ei", "enc", "ENC-004", "ENC-004", told(_READ, change=as_zero), "A tag that is NaN is 0."),
-    _mutant(
+    defect("MU-56ei", "ethernetip", "A tag that is NaN is 0.", told(_READ, change=as_zero), "ENC-004"),
+    defect(
         "MU-20eic",
-        "wr",
-        "WR-004",
-        "WR-004",
-        controls_always("set_plc_time"),
+        "ethernetip",
         "The controller's clock is set wherever writes are enabled, whatever the switch for control says.",
+        controls_always("set_plc_time"),
+        "WR-004",
     ),
-    _mutant(
+    defect(
         "MU-57ei",
-        "enc",
-        "ENC-003",
-        "ENC-003",
-        told(_READ, change=_by_way_of_32_bits),
+        "ethernetip",
         "An LREAL is read by way of 32 bits.",
+        told(_READ, change=_by_way_of_32_bits),
+        "ENC-003",
     ),
-    _mutant(
+    defect(
         "MU-123eil",
-        "enc",
-        "ENC-006",
-        "ENC-006",
-        reencoded("ethernetip", _beginning),
+        "ethernetip",
         "Of a text the first 20 characters are written, and the whole text is told as written.",
+        reencoded("ethernetip", _beginning),
+        "ENC-006",
     ),
-    _mutant(
+    defect(
         "MU-58ei",
-        "enc",
-        "ENC-005",
-        "ENC-005",
-        told(_READ, change=by_way_of_float),
+        "ethernetip",
         "A tag of 64 bits above 2^53 is rounded.",
+        told(_READ, change=by_way_of_float),
+        "ENC-005",
     ),
-    _mutant(
+    defect(
         "MU-123ei",
-        "enc",
-        "ENC-006",
-        "ENC-006",
-        told(_READ, change=stripped),
+        "ethernetip",
         "The text of a tag is read without the spaces around it.",
+        told(_READ, change=stripped),
+        "ENC-006",
     ),
-    _mutant(
+    defect(
         "MU-124ei",
-        "enc",
+        "ethernetip",
+        "started_at of an EtherNet/IP answer is the local time with a Z behind it.",
+        local_time,
         "ENC-003 ENC-004 ENC-005 ENC-006 ENC-007",
         "ENC-007",
-        local_time,
-        "started_at of an EtherNet/IP answer is the local time with a Z behind it.",
     ),
-    _mutant(
+    defect(
         "MU-93ei",
-        "res",
+        "ethernetip",
+        "An EtherNet/IP answer that does not belong to its request ends the adapter.",
+        failing(change=_end),
         "RES-003",
         "MCP-007",
-        failing(change=_end),
-        "An EtherNet/IP answer that does not belong to its request ends the adapter.",
     ),
-    _mutant(
+    defect(
         "MU-35ei",
-        "rec",
-        "REC-002",
-        "REC-002",
-        answers_from_memory_when_gone("read_tag"),
+        "ethernetip",
         "While the device is gone, a read of a tag succeeds with what was read before.",
+        answers_from_memory_when_gone("read_tag"),
+        "REC-002",
     ),
 )

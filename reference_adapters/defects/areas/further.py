@@ -13,14 +13,13 @@ from typing import Any
 from pydantic import create_model, field_validator
 
 from ...core import AdapterServer, Call
-from ..mutant import Bend, Data, Handler, Mutant, each, on, wrap
+from ..defect import Change, Data, Handler, around, wrap
 
 __all__ = [
     "altered",
     "beginning",
     "controls_always",
     "cut_off",
-    "declared",
     "last_answer",
     "lower_half",
     "merged",
@@ -39,105 +38,88 @@ def module_of(protocol: str, name: str) -> Any:
     return import_module(f"...{protocol}.{name}", __package__)
 
 
-def declared(protocol: str, id: str, areas: str, rows: str, requirements: str, bend: Bend, sentence: str) -> Mutant:
-    """Return the declaration of a defect that the checks of these rows on the protocol notice."""
-    return Mutant(
-        id=id,
-        protocol=protocol,
-        sentence=sentence,
-        bend=bend,
-        items=on(protocol, rows),
-        requirements=requirements,
-        areas=areas,
-    )
-
-
-def last_answer(tool: str) -> Bend:
+def last_answer(tool: str) -> Change:
     """Return the defect that of several calls at the same time all are told what the last of them has found."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         last: Data = {}
         under_way = 0
         all_done = asyncio.Condition()
 
-        def shared(genuine: Handler) -> Handler:
-            async def handler(call: Call, arguments: Any) -> Data:
-                nonlocal under_way
-                under_way += 1
-                try:
-                    last.update(await genuine(call, arguments))
-                finally:
-                    under_way -= 1
-                    async with all_done:
-                        all_done.notify_all()
+        @around(tool)
+        async def shared(genuine: Handler, call: Call, arguments: Any) -> Data:
+            nonlocal under_way
+            under_way += 1
+            try:
+                last.update(await genuine(call, arguments))
+            finally:
+                under_way -= 1
                 async with all_done:
-                    await all_done.wait_for(lambda: under_way == 0)
-                return dict(last)
+                    all_done.notify_all()
+            async with all_done:
+                await all_done.wait_for(lambda: under_way == 0)
+            return dict(last)
 
-            return handler
+        shared(server)
 
-        each(tool, change=shared)(server)
-
-    return bend
+    return apply
 
 
-def merged(tool: str, target: Callable[[Any], Hashable], answer: Callable[[Any], Data]) -> Bend:
+def merged(tool: str, target: Callable[[Any], Hashable], answer: Callable[[Any], Data]) -> Change:
     """Return the defect that of several writes to one target at the same time only the last is sent, and all are told as successes."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         waiting: dict[Hashable, int] = {}
 
-        def merging(genuine: Handler) -> Handler:
-            async def handler(call: Call, arguments: Any) -> Data:
-                place = target(arguments)
-                waiting[place] = mine = waiting.get(place, 0) + 1
-                await asyncio.sleep(_GATHERED_S)
-                if waiting[place] != mine:
-                    return answer(arguments)
-                data: Data = await genuine(call, arguments)
-                return data
+        @around(tool)
+        async def merging(genuine: Handler, call: Call, arguments: Any) -> Data:
+            place = target(arguments)
+            waiting[place] = mine = waiting.get(place, 0) + 1
+            await asyncio.sleep(_GATHERED_S)
+            if waiting[place] != mine:
+                return answer(arguments)
+            data = await genuine(call, arguments)
+            return data
 
-            return handler
+        merging(server)
 
-        each(tool, change=merging)(server)
-
-    return bend
+    return apply
 
 
-def cut_off(tool: str, argument: str, bits: int) -> Bend:
+def cut_off(tool: str, argument: str, bits: int) -> Change:
     """Return the defect that of a whole number of any size only the last bits count."""
 
     return altered(tool, argument, lambda value: value & (1 << bits) - 1 if type(value) is int else value)
 
 
-def altered(tool: str, argument: str, change: Callable[[Any], Any]) -> Bend:
+def altered(tool: str, argument: str, change: Callable[[Any], Any]) -> Change:
     """Return the defect that an argument is changed before it is checked."""
 
     def changed(cls: Any, value: Any) -> Any:
         return change(value)
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         check: Any = field_validator(argument, mode="before")(classmethod(changed))
         genuine = server._tools[tool].model
         model = create_model(genuine.__name__, __base__=genuine, __validators__={"altered": check})
         wrap(server, tool, lambda handler: handler, model=model)
 
-    return bend
+    return apply
 
 
-def reencoded(protocol: str, change: Callable[[Any, str], Any]) -> Bend:
+def reencoded(protocol: str, change: Callable[[Any, str], Any]) -> Change:
     """Return the defect that a value is changed before it is encoded.
 
     Args:
         change: returns the value that is encoded, from that of the call and the name of its data type.
     """
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         tools = module_of(protocol, "tools")
         encode = tools.encode
         tools.encode = lambda value, kind, *rest: encode(change(value, kind), kind, *rest)
 
-    return bend
+    return apply
 
 
 def lower_half(value: Any, kind: str) -> Any:
@@ -154,13 +136,13 @@ def beginning(data: Data) -> Data:
     return {**data, "value": data["value"][:20]} if isinstance(data["value"], str) else data
 
 
-def controls_always(tool: str) -> Bend:
+def controls_always(tool: str) -> Change:
     """Return the defect that a tool's switch of its own is not looked at: writes that are enabled are enough."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         server._tools[tool].handler.__self__._control_enabled = True
 
-    return bend
+    return apply
 
 
 def stripped(data: Data) -> Data:

@@ -10,10 +10,10 @@ import sys
 
 from ...core import AdapterError, AdapterServer, Call
 from ..claims import meta
+from ..defect import Change, Data, Defect, defect, failing
 from ..life import address_of
-from ..mutant import Bend, Data, Mutant, failing
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _SPARE = "OTMCP_CANARY_TOKEN"
 """A variable of the adapter's environment that it has no use for."""
@@ -21,7 +21,7 @@ _LONGEST = 480
 _BROKEN = ("connect_failed", "connection_lost", "timeout", "auth_failed")
 
 
-def environment_in_errors(*codes: str) -> Bend:
+def environment_in_errors(*codes: str) -> Change:
     """Return the defect that failures with these codes show the environment, cut off where a message must end."""
 
     def change(call: Call, error: AdapterError) -> Exception | None:
@@ -68,70 +68,51 @@ def ends_with_its_settings(server: AdapterServer) -> None:
         sys.exit(f"there is no device; the settings are {dict(os.environ)}")
 
 
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        id="MU-99b",
-        protocol="mqtt",
-        sentence="The password is in the words of an error.",
-        bend=failing(change=password_in_errors),
-        items="KEY-001.mqtt",
-        requirements="KEY-001",
-        areas="key",
+DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-99b",
+        "mqtt",
+        "The password is in the words of an error.",
+        failing(change=password_in_errors),
+        "KEY-001",
         quick=True,
     ),
-    Mutant(
-        id="MU-99c",
-        protocol="modbus",
-        sentence="The whole environment is in the words of an error.",
-        bend=environment_in_errors(*_BROKEN),
-        items="KEY-001.modbus",
-        requirements="KEY-001",
-        areas="key",
+    defect(
+        "MU-99c",
+        "modbus",
+        "The whole environment is in the words of an error.",
+        environment_in_errors(*_BROKEN),
+        "KEY-001",
     ),
-    Mutant(
-        id="MU-99d",
-        protocol="mqtt",
-        sentence="Each answer has user name and password in base64, as HTTP would send them.",
-        bend=meta(account_in_the_trace),
-        items="KEY-001.mqtt",
-        requirements="KEY-001",
-        areas="key",
+    defect(
+        "MU-99d",
+        "mqtt",
+        "Each answer has user name and password in base64, as HTTP would send them.",
+        meta(account_in_the_trace),
+        "KEY-001",
     ),
-    Mutant(
-        id="MU-99e",
-        protocol="opcua",
-        sentence="At the start the environment is logged, its values in hexadecimal digits.",
-        bend=settings_on_stderr,
-        items="KEY-001.opcua",
-        requirements="KEY-001",
-        areas="key",
+    defect(
+        "MU-99e",
+        "opcua",
+        "At the start the environment is logged, its values in hexadecimal digits.",
+        settings_on_stderr,
+        "KEY-001",
     ),
-    Mutant(
-        id="MU-99f",
-        protocol="modbus",
-        sentence="A secret is an argument of a process that the adapter starts.",
-        bend=secret_for_a_helper,
-        items="KEY-001.modbus",
-        requirements="KEY-001",
-        areas="key",
+    defect(
+        "MU-99f",
+        "modbus",
+        "A secret is an argument of a process that the adapter starts.",
+        secret_for_a_helper,
+        "KEY-001",
         cold=True,
     ),
-    Mutant(
-        id="MU-99g",
-        protocol="s7",
-        sentence="The description of a tool has the environment in it.",
-        bend=secret_in_a_description,
-        items="KEY-001.s7",
-        requirements="KEY-001",
-        areas="key",
-    ),
-    Mutant(
-        id="MU-99h",
-        protocol="modbus",
-        sentence="An adapter that does not start without its device ends with its environment on stderr.",
-        bend=ends_with_its_settings,
-        items="KEY-001.modbus",
-        requirements="KEY-001 MCP-002",
-        areas="key",
+    defect("MU-99g", "s7", "The description of a tool has the environment in it.", secret_in_a_description, "KEY-001"),
+    defect(
+        "MU-99h",
+        "modbus",
+        "An adapter that does not start without its device ends with its environment on stderr.",
+        ends_with_its_settings,
+        "KEY-001",
+        "KEY-001 MCP-002",
     ),
 )

@@ -15,13 +15,13 @@ from ...modbus.shapes import WriteRegister
 from ...mqtt.shapes import Publish
 from ..any_protocol import banner, complains, is_error_never_set, result, stays, text_says_otherwise
 from ..claims import bare_schema
+from ..defect import Change, Data, Defect, Handler, also, around, defect, wrap
 from ..life import exits_without_a_device
 from ..modbus import heartbeat as modbus_heartbeat
 from ..mqtt import heartbeat as mqtt_heartbeat
-from ..mutant import Bend, Data, Handler, Mutant, also, each, on, wrap
 from ..opcua import heartbeat as opcua_heartbeat
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 
 def unknown_arguments_ignored(server: AdapterServer) -> None:
@@ -56,27 +56,22 @@ def any_qos(server: AdapterServer) -> None:
     wrap(server, "publish_message", lambda genuine: genuine, model=LaxPublish)
 
 
-def texts_are_numbers(server: AdapterServer) -> None:
-    def guessing(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            if isinstance(arguments.value, str | bool):
-                arguments = arguments.model_copy(update={"value": 1.0})
-            data: Data = await genuine(call, arguments)
-            return data
-
-        return handler
-
-    each("write_opcua_node", change=guessing)(server)
+@around("write_opcua_node")
+async def texts_are_numbers(genuine: Handler, call: Call, arguments: Any) -> Data:
+    if isinstance(arguments.value, str | bool):
+        arguments = arguments.model_copy(update={"value": 1.0})
+    data = await genuine(call, arguments)
+    return data
 
 
-def listed_without(word: str) -> Bend:
+def listed_without(word: str) -> Change:
     """Return the defect that no schema has this member."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         for tool in server._tools.values():
             tool.listing.input_schema.pop(word, None)
 
-    return bend
+    return apply
 
 
 def no_schema(server: AdapterServer) -> None:
@@ -88,30 +83,28 @@ def named_with_blanks(server: AdapterServer) -> None:
     server._tools["list_tags"].listing.name = "list tags!"
 
 
-def hinted(**hints: bool) -> Bend:
+def hinted(**hints: bool) -> Change:
     """Return the defect that the annotations of every tool that writes have these values."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         for tool in server._tools.values():
             if tool.writes:
                 tool.listing.annotations = tool.listing.annotations.model_copy(update=hints)
 
-    return bend
+    return apply
 
 
 def described_by_the_device(server: AdapterServer) -> None:
     """Append what the device calls itself to a description."""
 
-    def learning(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments)
-            listing = server._tools["read_device_information"].listing
-            listing.description = f"Read the identification of {data['objects'].get('0')}."
-            return data
+    @around("read_device_information")
+    async def learning(genuine: Handler, call: Call, arguments: Any) -> Data:
+        data = await genuine(call, arguments)
+        listing = server._tools["read_device_information"].listing
+        listing.description = f"Read the identification of {data['objects'].get('0')}."
+        return data
 
-        return handler
-
-    each("read_device_information", change=learning)(server)
+    learning(server)
 
 
 def described_anew(server: AdapterServer) -> None:
@@ -183,251 +176,134 @@ def lingers(server: AdapterServer) -> None:
 _ALL = "MCP-001 MCP-002 MCP-003 MCP-004 MCP-005 MCP-006 MCP-007 MCP-008 MCP-009 MCP-010"
 
 
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        id="MU-11b",
-        protocol="opcua",
-        sentence="true and every text are written as the number 1.",
-        bend=texts_are_numbers,
-        items="MCP-005.opcua",
-        requirements="MCP-005",
-        areas="mcp",
-    ),
-    Mutant(
-        id="MU-12",
-        protocol="modbus",
-        sentence="true is written as 1.",
-        bend=true_is_one,
-        items="MCP-005.modbus",
-        requirements="MCP-005",
-        areas="mcp",
+DEFECTS: tuple[Defect, ...] = (
+    defect("MU-11b", "opcua", "true and every text are written as the number 1.", texts_are_numbers, "MCP-005"),
+    defect("MU-12", "modbus", "true is written as 1.", true_is_one, "MCP-005", quick=True),
+    defect("MU-12q", "mqtt", "A text or null is taken for a QoS.", any_qos, "MCP-005"),
+    defect(
+        "MU-13",
+        "modbus",
+        "An argument with an unknown name is ignored.",
+        unknown_arguments_ignored,
+        "MCP-004",
         quick=True,
     ),
-    Mutant(
-        id="MU-12q",
-        protocol="mqtt",
-        sentence="A text or null is taken for a QoS.",
-        bend=any_qos,
-        items="MCP-005.mqtt",
-        requirements="MCP-005",
-        areas="mcp",
+    defect(
+        "MU-47b",
+        "opcua",
+        "isError is always false.",
+        result(is_error_never_set),
+        "MCP-001 MCP-002 MCP-004 MCP-005 MCP-006 MCP-007 MCP-008 MCP-010",
+        "MCP-006",
     ),
-    Mutant(
-        id="MU-13",
-        protocol="modbus",
-        sentence="An argument with an unknown name is ignored.",
-        bend=unknown_arguments_ignored,
-        items="MCP-004.modbus",
-        requirements="MCP-004",
-        areas="mcp",
-        quick=True,
+    defect(
+        "MU-47h",
+        "modbus",
+        "isError is always false in sessions that begin with the handshake of MCP 2025-11-25.",
+        is_error_never_set_by_handshake,
+        "MCP-001 MCP-002 MCP-004 MCP-005 MCP-006 MCP-007 MCP-008 MCP-010",
+        "MCP-006",
     ),
-    Mutant(
-        id="MU-47b",
-        protocol="opcua",
-        sentence="isError is always false.",
-        bend=result(is_error_never_set),
-        items=on("opcua", "MCP-001 MCP-002 MCP-004 MCP-005 MCP-006 MCP-007 MCP-008 MCP-010"),
-        requirements="MCP-006",
-        areas="mcp",
+    defect(
+        "MU-48b",
+        "mqtt",
+        "The text block is JSON, and it is not the structured content.",
+        result(text_says_otherwise),
+        _ALL,
+        "MCP-006",
     ),
-    Mutant(
-        id="MU-47h",
-        protocol="modbus",
-        sentence="isError is always false in sessions that begin with the handshake of MCP 2025-11-25.",
-        bend=is_error_never_set_by_handshake,
-        items=on("modbus", "MCP-001 MCP-002 MCP-004 MCP-005 MCP-006 MCP-007 MCP-008 MCP-010"),
-        requirements="MCP-006",
-        areas="mcp",
+    defect("MU-49b", "opcua", "A banner is printed to stdout at the start.", banner, _ALL, "MCP-001"),
+    defect(
+        "MU-50b",
+        "mqtt",
+        "Failures are printed to stdout.",
+        complains,
+        "MCP-001 MCP-002 MCP-006 MCP-008 MCP-010",
+        "MCP-001",
     ),
-    Mutant(
-        id="MU-48b",
-        protocol="mqtt",
-        sentence="The text block is JSON, and it is not the structured content.",
-        bend=result(text_says_otherwise),
-        items=on("mqtt", _ALL),
-        requirements="MCP-006",
-        areas="mcp",
-    ),
-    Mutant(
-        id="MU-49b",
-        protocol="opcua",
-        sentence="A banner is printed to stdout at the start.",
-        bend=banner,
-        items=on("opcua", _ALL),
-        requirements="MCP-001",
-        areas="mcp",
-    ),
-    Mutant(
-        id="MU-50b",
-        protocol="mqtt",
-        sentence="Failures are printed to stdout.",
-        bend=complains,
-        items=on("mqtt", "MCP-001 MCP-002 MCP-006 MCP-008 MCP-010"),
-        requirements="MCP-001",
-        areas="mcp",
-    ),
-    Mutant(
-        id="MU-51b",
-        protocol="opcua",
-        sentence="The adapter does not start while its server is off.",
-        bend=exits_without_a_device,
-        items="MCP-002.opcua",
-        requirements="MCP-002",
-        areas="mcp",
-    ),
-    Mutant(
-        id="MU-52b",
-        protocol="mqtt",
-        sentence="The process does not exit when its stdin ends.",
-        bend=stays,
-        items=on("mqtt", "MCP-002 MCP-009 MCP-010"),
-        requirements="MCP-009",
-        areas="mcp",
+    defect("MU-51b", "opcua", "The adapter does not start while its server is off.", exits_without_a_device, "MCP-002"),
+    defect(
+        "MU-52b",
+        "mqtt",
+        "The process does not exit when its stdin ends.",
+        stays,
+        "MCP-002 MCP-009 MCP-010",
+        "MCP-009",
         waits=True,
     ),
-    Mutant(
-        id="MU-52g",
-        protocol="modbus",
-        sentence="A line that is no message ends the process.",
-        bend=garbage_ends_it,
-        items="MCP-009.modbus",
-        requirements="MCP-007 MCP-009",
-        areas="mcp",
+    defect(
+        "MU-52g", "modbus", "A line that is no message ends the process.", garbage_ends_it, "MCP-009", "MCP-007 MCP-009"
     ),
-    Mutant(
-        id="MU-53t",
-        protocol="modbus",
-        sentence="Listing the tags writes a heartbeat register.",
-        bend=also("list_tags", action=modbus_heartbeat),
-        items="MCP-008.modbus",
-        requirements="MCP-008",
-        areas="mcp",
+    defect(
+        "MU-53t",
+        "modbus",
+        "Listing the tags writes a heartbeat register.",
+        also("list_tags", action=modbus_heartbeat),
+        "MCP-008",
     ),
-    Mutant(
-        id="MU-53s",
-        protocol="mqtt",
-        sentence="Listing the subscriptions publishes a heartbeat.",
-        bend=also("list_subscriptions", action=mqtt_heartbeat),
-        items="MCP-008.mqtt",
-        requirements="MCP-008",
-        areas="mcp",
+    defect(
+        "MU-53s",
+        "mqtt",
+        "Listing the subscriptions publishes a heartbeat.",
+        also("list_subscriptions", action=mqtt_heartbeat),
+        "MCP-008",
     ),
-    Mutant(
-        id="MU-53v",
-        protocol="opcua",
-        sentence="Listing all variables writes a heartbeat.",
-        bend=also("get_all_variables", action=opcua_heartbeat),
-        items=on("opcua", "MCP-008 MCP-010"),
-        requirements="MCP-008 WR-010",
-        areas="mcp",
+    defect(
+        "MU-53v",
+        "opcua",
+        "Listing all variables writes a heartbeat.",
+        also("get_all_variables", action=opcua_heartbeat),
+        "MCP-008 MCP-010",
+        "MCP-008 WR-010",
     ),
-    Mutant(
-        id="MU-53d",
-        protocol="modbus",
-        sentence="The tools that write have a destructiveHint of false.",
-        bend=hinted(destructive_hint=False),
-        items="",
-        requirements="MCP-008",
-        areas="mcp",
+    defect(
+        "MU-53d",
+        "modbus",
+        "The tools that write have a destructiveHint of false.",
+        hinted(destructive_hint=False),
+        "",
+        "MCP-008",
     ),
-    Mutant(
-        id="MU-53e",
-        protocol="opcua",
-        sentence="The tools that write have a destructiveHint of false.",
-        bend=hinted(destructive_hint=False),
-        items="",
-        requirements="MCP-008",
-        areas="mcp",
+    defect(
+        "MU-53e",
+        "opcua",
+        "The tools that write have a destructiveHint of false.",
+        hinted(destructive_hint=False),
+        "",
+        "MCP-008",
     ),
-    Mutant(
-        id="MU-53i",
-        protocol="mqtt",
-        sentence="The tools that publish have an idempotentHint.",
-        bend=hinted(idempotent_hint=True),
-        items="",
-        requirements="MCP-008",
-        areas="mcp",
+    defect(
+        "MU-53i", "mqtt", "The tools that publish have an idempotentHint.", hinted(idempotent_hint=True), "", "MCP-008"
     ),
-    Mutant(
-        id="MU-54",
-        protocol="modbus",
-        sentence="A tool's description holds what the device calls itself.",
-        bend=described_by_the_device,
-        items="MCP-008.modbus MCP-010.modbus",
-        requirements="MCP-010",
-        areas="mcp",
+    defect(
+        "MU-54",
+        "modbus",
+        "A tool's description holds what the device calls itself.",
+        described_by_the_device,
+        "MCP-008 MCP-010",
+        "MCP-010",
     ),
-    Mutant(
-        id="MU-54p",
-        protocol="mqtt",
-        sentence="A tool's description is another one in each process.",
-        bend=described_anew,
-        items="MCP-010.mqtt",
-        requirements="MCP-010",
-        areas="mcp",
+    defect("MU-54p", "mqtt", "A tool's description is another one in each process.", described_anew, "MCP-010"),
+    defect("MU-112b", "opcua", "The schemas of the arguments are bare objects.", bare_schema, _ALL, "MCP-003"),
+    defect("MU-112r", "modbus", "No schema says which arguments are required.", listed_without("required"), "MCP-003"),
+    defect(
+        "MU-112n", "modbus", "A tool has a name with a blank.", named_with_blanks, "MCP-003 MCP-008", "MCP-003 MCP-007"
     ),
-    Mutant(
-        id="MU-112b",
-        protocol="opcua",
-        sentence="The schemas of the arguments are bare objects.",
-        bend=bare_schema,
-        items=on("opcua", _ALL),
-        requirements="MCP-003",
-        areas="mcp",
+    defect("MU-112s", "mqtt", "The schemas of the arguments are no JSON Schema.", no_schema, "MCP-003"),
+    defect(
+        "MU-113b",
+        "opcua",
+        "An argument of the wrong type ends the process.",
+        wrong_types_end_it,
+        "MCP-001 MCP-004 MCP-005 MCP-006 MCP-007 MCP-008 MCP-010",
+        "MCP-007",
     ),
-    Mutant(
-        id="MU-112r",
-        protocol="modbus",
-        sentence="No schema says which arguments are required.",
-        bend=listed_without("required"),
-        items="MCP-003.modbus",
-        requirements="MCP-003",
-        areas="mcp",
-    ),
-    Mutant(
-        id="MU-112n",
-        protocol="modbus",
-        sentence="A tool has a name with a blank.",
-        bend=named_with_blanks,
-        items=on("modbus", "MCP-003 MCP-008"),
-        requirements="MCP-003 MCP-007",
-        areas="mcp",
-    ),
-    Mutant(
-        id="MU-112s",
-        protocol="mqtt",
-        sentence="The schemas of the arguments are no JSON Schema.",
-        bend=no_schema,
-        items="MCP-003.mqtt",
-        requirements="MCP-003",
-        areas="mcp",
-    ),
-    Mutant(
-        id="MU-113b",
-        protocol="opcua",
-        sentence="An argument of the wrong type ends the process.",
-        bend=wrong_types_end_it,
-        items=on("opcua", "MCP-001 MCP-004 MCP-005 MCP-006 MCP-007 MCP-008 MCP-010"),
-        requirements="MCP-007",
-        areas="mcp",
-    ),
-    Mutant(
-        id="MU-113u",
-        protocol="modbus",
-        sentence="A tool that does not exist is another tool.",
-        bend=unknown_tools_succeed,
-        items="MCP-007.modbus",
-        requirements="MCP-007",
-        areas="mcp",
-    ),
-    Mutant(
-        id="MU-113c",
-        protocol="modbus",
-        sentence="A count that the schema does not let through is made one that it does.",
-        bend=bounds_are_for_reading_only,
-        items="MCP-007.modbus",
-        requirements="MCP-007",
-        areas="mcp",
+    defect("MU-113u", "modbus", "A tool that does not exist is another tool.", unknown_tools_succeed, "MCP-007"),
+    defect(
+        "MU-113c",
+        "modbus",
+        "A count that the schema does not let through is made one that it does.",
+        bounds_are_for_reading_only,
+        "MCP-007",
     ),
 )

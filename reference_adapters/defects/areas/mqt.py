@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from ...core import AdapterError, AdapterServer
-from ...mqtt.connection import Connection, ConnectionLostError, Delivery, Message
+from ...core import AdapterError, AdapterServer, Lost
+from ...mqtt.connection import Connection, Delivery, Message
 from ...mqtt.inbox import Inbox
 from ...mqtt.link import Link
+from ..defect import Defect, around, defect, told
 from ..mqtt import equal_topics_only, retained, subscribed_topics_only
-from ..mutant import Mutant, each, mutants_of, told
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _PUBLISH = "publish_message"
 _PATIENCE_S = 1.0
@@ -35,7 +35,7 @@ def acknowledgements_awaited_in_vain(server: AdapterServer) -> None:
         try:
             async with asyncio.timeout(_PATIENCE_S):
                 await genuine(connection, deliveries)
-        except (AdapterError, ConnectionLostError, TimeoutError):
+        except (AdapterError, Lost, TimeoutError):
             pass
 
     Connection.delivered = delivered
@@ -44,7 +44,7 @@ def acknowledgements_awaited_in_vain(server: AdapterServer) -> None:
 def granting(change: Callable[[int | None], int | None]) -> Callable[[AdapterServer], None]:
     """Return the defect that the broker's answers to SUBSCRIBE are taken for others."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = Connection.subscribe
 
         async def subscribe(connection: Connection, filters: Mapping[str, int]) -> list[int | None]:
@@ -52,7 +52,7 @@ def granting(change: Callable[[int | None], int | None]) -> Callable[[AdapterSer
 
         Connection.subscribe = subscribe
 
-    return bend
+    return apply
 
 
 def subscriptions_not_awaited(server: AdapterServer) -> None:
@@ -62,7 +62,7 @@ def subscriptions_not_awaited(server: AdapterServer) -> None:
         try:
             async with asyncio.timeout(_PATIENCE_S):
                 return await genuine(connection, filters)
-        except (AdapterError, ConnectionLostError, TimeoutError):
+        except (AdapterError, Lost, TimeoutError):
             return list(filters.values())
 
     Connection.subscribe = subscribe
@@ -116,7 +116,7 @@ def stripped(server: AdapterServer) -> None:
 def receiving(change: Callable[[list[Message], Message], Message | None]) -> Callable[[AdapterServer], None]:
     """Return the defect that a message is kept as another one, or not at all, by what came before it."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = Link._received
         last: list[Message] = []
 
@@ -128,7 +128,7 @@ def receiving(change: Callable[[list[Message], Message], Message | None]) -> Cal
 
         Link._received = received
 
-    return bend
+    return apply
 
 
 def _no_repetition(last: list[Message], message: Message) -> Message | None:
@@ -152,165 +152,102 @@ def topics_in_lower_case(server: AdapterServer) -> None:
     Connection.send = send
 
 
-_mutant = mutants_of("mqt")
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
+DEFECTS: tuple[Defect, ...] = (
+    defect(
         "MU-67e",
         "mqtt",
         "Of messages with equal payloads in a row the first is kept.",
         receiving(_no_repetition),
-        "MQT-004.mqtt",
         "MQT-004",
     ),
-    _mutant(
+    defect(
         "MU-67f",
         "mqtt",
         "Of equal messages in a row on one topic the first is kept.",
         receiving(_no_repetition_on_a_topic),
-        "MQT-004.mqtt",
         "MQT-004",
     ),
-    _mutant(
-        "MU-67l",
-        "mqtt",
-        "Topics of messages are kept in lower case.",
-        receiving(_lower_case),
-        "MQT-004.mqtt",
-        "MQT-004",
-    ),
-    _mutant(
+    defect("MU-67l", "mqtt", "Topics of messages are kept in lower case.", receiving(_lower_case), "MQT-004"),
+    defect(
         "MU-68l",
         "mqtt",
         "Messages are published to the topic in lower case.",
         topics_in_lower_case,
-        "MQT-003.mqtt",
+        "MQT-003",
         "ENV-007 MQT-001",
     ),
-    Mutant(
-        id="MU-63",
-        protocol="mqtt",
-        sentence="A publish succeeds before its PUBACK.",
-        bend=acknowledgements_not_awaited,
-        items="MQT-001.mqtt",
-        requirements="MQT-001",
-        areas="mqt",
+    defect("MU-63", "mqtt", "A publish succeeds before its PUBACK.", acknowledgements_not_awaited, "MQT-001"),
+    defect(
+        "MU-63w",
+        "mqtt",
+        "A PUBACK is waited for, and the publish succeeds without it.",
+        acknowledgements_awaited_in_vain,
+        "MQT-001",
     ),
-    Mutant(
-        id="MU-63w",
-        protocol="mqtt",
-        sentence="A PUBACK is waited for, and the publish succeeds without it.",
-        bend=acknowledgements_awaited_in_vain,
-        items="MQT-001.mqtt",
-        requirements="MQT-001",
-        areas="mqt",
+    defect(
+        "MU-64",
+        "mqtt",
+        "A subscription that the broker refuses is a success.",
+        granting(lambda granted: granted if granted is not None and granted < 0x80 else 0),
+        "MQT-002",
+        "ENV-007 MQT-002",
     ),
-    Mutant(
-        id="MU-64",
-        protocol="mqtt",
-        sentence="A subscription that the broker refuses is a success.",
-        bend=granting(lambda granted: granted if granted is not None and granted < 0x80 else 0),
-        items="MQT-002.mqtt",
-        requirements="ENV-007 MQT-002",
-        areas="mqt",
+    defect(
+        "MU-64g",
+        "mqtt",
+        "The QoS that was asked for is told as the one that was granted.",
+        told("subscribe_topic", change=lambda data: {**data, "granted_qos": data["qos"]}),
+        "MQT-002",
     ),
-    Mutant(
-        id="MU-64g",
-        protocol="mqtt",
-        sentence="The QoS that was asked for is told as the one that was granted.",
-        bend=told("subscribe_topic", change=lambda data: {**data, "granted_qos": data["qos"]}),
-        items="MQT-002.mqtt",
-        requirements="MQT-002",
-        areas="mqt",
+    defect(
+        "MU-64s",
+        "mqtt",
+        "A SUBACK is waited for, and the subscription succeeds without it.",
+        subscriptions_not_awaited,
+        "MQT-002",
     ),
-    Mutant(
-        id="MU-64s",
-        protocol="mqtt",
-        sentence="A SUBACK is waited for, and the subscription succeeds without it.",
-        bend=subscriptions_not_awaited,
-        items="MQT-002.mqtt",
-        requirements="MQT-002",
-        areas="mqt",
+    defect(
+        "MU-64u",
+        "mqtt",
+        "A subscription that is ended is only forgotten.",
+        unsubscribing_forgets_alone,
+        "MQT-002",
+        "ENV-007 MQT-002",
     ),
-    Mutant(
-        id="MU-64u",
-        protocol="mqtt",
-        sentence="A subscription that is ended is only forgotten.",
-        bend=unsubscribing_forgets_alone,
-        items="MQT-002.mqtt",
-        requirements="ENV-007 MQT-002",
-        areas="mqt",
+    defect(
+        "MU-66m",
+        "mqtt",
+        "Messages are retained unless the call says otherwise.",
+        around(_PUBLISH)(retained),
+        "MQT-001 MQT-003",
+        "MQT-003",
     ),
-    Mutant(
-        id="MU-66m",
-        protocol="mqtt",
-        sentence="Messages are retained unless the call says otherwise.",
-        bend=each(_PUBLISH, change=retained),
-        items="MQT-001.mqtt MQT-003.mqtt",
-        requirements="MQT-003",
-        areas="mqt",
+    defect(
+        "MU-66f",
+        "mqtt",
+        "That a message was retained is not told.",
+        told("read_messages", change=retain_not_told),
+        "MQT-003",
     ),
-    Mutant(
-        id="MU-66f",
-        protocol="mqtt",
-        sentence="That a message was retained is not told.",
-        bend=told("read_messages", change=retain_not_told),
-        items="MQT-003.mqtt",
-        requirements="MQT-003",
-        areas="mqt",
+    defect(
+        "MU-66p",
+        "mqtt",
+        "Blanks at the ends of a payload, and what is above 16 KiB, are cut off.",
+        stripped,
+        "MQT-003",
+        "MQT-001",
     ),
-    Mutant(
-        id="MU-66p",
-        protocol="mqtt",
-        sentence="Blanks at the ends of a payload, and what is above 16 KiB, are cut off.",
-        bend=stripped,
-        items="MQT-003.mqtt",
-        requirements="MQT-001",
-        areas="mqt",
+    defect(
+        "MU-67c", "mqtt", "Messages are looked up by their topic; a wildcard finds none.", equal_topics_only, "MQT-004"
     ),
-    Mutant(
-        id="MU-67c",
-        protocol="mqtt",
-        sentence="Messages are looked up by their topic; a wildcard finds none.",
-        bend=equal_topics_only,
-        items="MQT-004.mqtt",
-        requirements="MQT-004",
-        areas="mqt",
+    defect(
+        "MU-67d",
+        "mqtt",
+        "A message is kept only if its topic is a subscription's text.",
+        subscribed_topics_only,
+        "MQT-004",
     ),
-    Mutant(
-        id="MU-67d",
-        protocol="mqtt",
-        sentence="A message is kept only if its topic is a subscription's text.",
-        bend=subscribed_topics_only,
-        items="MQT-004.mqtt",
-        requirements="MQT-004",
-        areas="mqt",
-    ),
-    Mutant(
-        id="MU-67o",
-        protocol="mqtt",
-        sentence="The newest message comes first.",
-        bend=told("read_messages", change=newest_first),
-        items="MQT-004.mqtt",
-        requirements="MQT-004",
-        areas="mqt",
-    ),
-    Mutant(
-        id="MU-89d",
-        protocol="mqtt",
-        sentence="Messages that are dropped are not counted.",
-        bend=uncounted,
-        items="MQT-004.mqtt",
-        requirements="MQT-004",
-        areas="mqt",
-    ),
-    Mutant(
-        id="MU-123w",
-        protocol="mqtt",
-        sentence="Messages that are no text are thrown away.",
-        bend=text_alone,
-        items="MQT-004.mqtt",
-        requirements="MQT-004",
-        areas="mqt",
-    ),
+    defect("MU-67o", "mqtt", "The newest message comes first.", told("read_messages", change=newest_first), "MQT-004"),
+    defect("MU-89d", "mqtt", "Messages that are dropped are not counted.", uncounted, "MQT-004"),
+    defect("MU-123w", "mqtt", "Messages that are no text are thrown away.", text_alone, "MQT-004"),
 )

@@ -9,26 +9,26 @@ from typing import Any
 
 from asyncua import ua
 
-from ...core import AdapterError, AdapterServer, Call
+from ...core import AdapterError, AdapterServer, BadReply, Call, Lost
 from ...core.tools import AdapterTool
 from ...opcua import status, tools, values
-from ...opcua.link import LostError, NodeFacts
+from ...opcua.link import NodeFacts
 from ...opcua.services import Services
-from ..mutant import Bend, Data, Handler, Mutant, failing, told, wrap
+from ..defect import Change, Data, Defect, Handler, around, defect, failing, told
 from ..opcua import writes_status_and_timestamp
 from ..refusals import bad_is_good, first_page
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ, _WRITE, _CALL = "read_opcua_node", "write_opcua_node", "call_opcua_method"
 _BROWSE, _ALL = "browse_opcua_node_children", "get_all_variables"
 _NUMBERS = (*values._INTEGERS, *values._LARGEST)
 
 
-def _written_otherwise(change: Any) -> Bend:
+def _written_otherwise(change: Any) -> Change:
     """Return the defect that a single value is written as another variant than the node's."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = Services.write
 
         async def write(services: Services, nodes: Sequence[ua.NodeId], variants: Sequence[ua.Variant]) -> Any:
@@ -36,7 +36,7 @@ def _written_otherwise(change: Any) -> Bend:
 
         Services.write = write
 
-    return bend
+    return apply
 
 
 def _double(variant: ua.Variant) -> ua.Variant:
@@ -54,17 +54,17 @@ def _good(data: Data) -> Data:
     return {**data, "quality": "good", "status": "Good"}
 
 
-def _severity(*names: str) -> Bend:
+def _severity(*names: str) -> Change:
     """Return the defect that the two severity bits mean these."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         def quality(code: ua.StatusCode) -> str:
             return str(names[code.value >> 30])
 
         for module in (status, tools):
             module.quality = quality
 
-    return bend
+    return apply
 
 
 def _now() -> str:
@@ -115,10 +115,10 @@ def points_left_open(server: AdapterServer) -> None:
     Services._turn_pages = first_pages
 
 
-def browses_instead(*nodes: ua.NodeId) -> Bend:
+def browses_instead(*nodes: ua.NodeId) -> Change:
     """Return the defect that a node which the server does not have is browsed as if it were another one, or as one without children."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = Services.browse
 
         async def browse(services: Services, asked: Sequence[ua.NodeId], **options: Any) -> Any:
@@ -131,13 +131,13 @@ def browses_instead(*nodes: ua.NodeId) -> Bend:
 
         Services.browse = browse
 
-    return bend
+    return apply
 
 
-def circles(levels: int) -> Bend:
+def circles(levels: int) -> Change:
     """Return the defect that an enumeration visits a node as often as it is found, so many levels deep."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         perform = server._tools[_ALL].handler.__self__._perform
         # The adapter gives up well before the kit does, also on a machine that is slow.
         server._deadline_s = 2.0
@@ -153,37 +153,32 @@ def circles(levels: int) -> Bend:
                     break
             return found
 
-        def looping(genuine: Handler) -> Handler:
-            async def handler(call: Call, arguments: Any) -> Data:
-                listed = await genuine(call, arguments)
-                found = await perform(
-                    call, lambda services: every_variable(services, [ua.NodeId(ua.ObjectIds.ObjectsFolder)])
-                )
-                known = {variable["node_id"]: variable for variable in listed["variables"]}
-                every = [known[one.NodeId.to_string()] for one in found if one.NodeId.to_string() in known]
-                return {"variables": every, "count": len(every)}
+        @around(_ALL)
+        async def looping(genuine: Handler, call: Call, arguments: Any) -> Data:
+            listed = await genuine(call, arguments)
+            found = await perform(
+                call, lambda services: every_variable(services, [ua.NodeId(ua.ObjectIds.ObjectsFolder)])
+            )
+            known = {variable["node_id"]: variable for variable in listed["variables"]}
+            every = [known[one.NodeId.to_string()] for one in found if one.NodeId.to_string() in known]
+            return {"variables": every, "count": len(every)}
 
-            return handler
+        looping(server)
 
-        wrap(server, _ALL, looping)
-
-    return bend
+    return apply
 
 
 def _checked(data: Data) -> Data:
     return {**data, "verified": True} if "verified" in data else data
 
 
-def _as_asked(genuine: Handler) -> Handler:
-    async def handler(call: Call, arguments: Any) -> Data:
-        data = await genuine(call, arguments)
-        return {name: value for name, value in {**data, "value": arguments.value}.items() if name != "clamped"}
-
-    return handler
+async def _as_asked(genuine: Handler, call: Call, arguments: Any) -> Data:
+    data = await genuine(call, arguments)
+    return {name: value for name, value in {**data, "value": arguments.value}.items() if name != "clamped"}
 
 
 def clamping_is_hidden(server: AdapterServer) -> None:
-    wrap(server, _WRITE, _as_asked)
+    around(_WRITE)(_as_asked)(server)
 
 
 def methods_pass_the_guard(server: AdapterServer) -> None:
@@ -220,8 +215,9 @@ def calls_again(server: AdapterServer) -> None:
     async def request(services: Services, ask: Any, items: int, *, changes: bool = False) -> Any:
         try:
             return await genuine(services, ask, items, changes=changes)
-        except LostError as lost:
-            raise LostError(lost.error, sent=False) from None
+        except (OSError, BadReply, Lost):
+            services._call.writes_sent = 0
+            raise Lost from None
 
     Services._request = request
 
@@ -231,239 +227,167 @@ def _denied_is_internal(call: Call, error: AdapterError) -> Exception | None:
     return AdapterError("internal_error", "something went wrong", outcome="unknown") if denied else None
 
 
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        id="MU-19",
-        protocol="opcua",
-        sentence="With writes disabled a method is called.",
-        bend=methods_pass_the_guard,
-        items="OUA-008.opcua",
-        requirements="OUA-008",
-        areas="oua",
+DEFECTS: tuple[Defect, ...] = (
+    defect("MU-19", "opcua", "With writes disabled a method is called.", methods_pass_the_guard, "OUA-008"),
+    defect(
+        "MU-19b",
+        "opcua",
+        "Every number among a method's arguments is sent as Double.",
+        arguments_are_doubles,
+        "OUA-008",
     ),
-    Mutant(
-        id="MU-19b",
-        protocol="opcua",
-        sentence="Every number among a method's arguments is sent as Double.",
-        bend=arguments_are_doubles,
-        items="OUA-008.opcua",
-        requirements="OUA-008",
-        areas="oua",
+    defect(
+        "MU-19c",
+        "opcua",
+        "Arguments of a method that are missing or too many are not noticed.",
+        arguments_are_not_counted,
+        "OUA-008",
+        "ERR-006 OUA-008",
     ),
-    Mutant(
-        id="MU-19c",
-        protocol="opcua",
-        sentence="Arguments of a method that are missing or too many are not noticed.",
-        bend=arguments_are_not_counted,
-        items="OUA-008.opcua",
-        requirements="ERR-006 OUA-008",
-        areas="oua",
+    defect("MU-19d", "opcua", "A method whose answer was lost is called again.", calls_again, "OUA-008"),
+    defect(
+        "MU-80",
+        "opcua",
+        "Every number is written as Double, whatever the node's data type.",
+        _written_otherwise(_double),
+        "OUA-001 OUA-004",
     ),
-    Mutant(
-        id="MU-19d",
-        protocol="opcua",
-        sentence="A method whose answer was lost is called again.",
-        bend=calls_again,
-        items="OUA-008.opcua",
-        requirements="OUA-008",
-        areas="oua",
+    defect(
+        "MU-80c",
+        "opcua",
+        "A text that looks like a number is written as one.",
+        _written_otherwise(_number_first),
+        "OUA-001",
     ),
-    Mutant(
-        id="MU-80",
-        protocol="opcua",
-        sentence="Every number is written as Double, whatever the node's data type.",
-        bend=_written_otherwise(_double),
-        items="OUA-001.opcua OUA-004.opcua",
-        requirements="OUA-001 OUA-004",
-        areas="oua",
+    defect(
+        "MU-81b",
+        "opcua",
+        "A value with a Bad status is a value; seen by the requirement suite.",
+        bad_is_good,
+        "OUA-002",
     ),
-    Mutant(
-        id="MU-80c",
-        protocol="opcua",
-        sentence="A text that looks like a number is written as one.",
-        bend=_written_otherwise(_number_first),
-        items="OUA-001.opcua",
-        requirements="OUA-001",
-        areas="oua",
+    defect(
+        "MU-81c",
+        "opcua",
+        "A status code whose two highest bits are set is good.",
+        _severity("good", "uncertain", "bad", "good"),
+        "OUA-002",
     ),
-    Mutant(
-        id="MU-81b",
-        protocol="opcua",
-        sentence="A value with a Bad status is a value; seen by the requirement suite.",
-        bend=bad_is_good,
-        items="OUA-002.opcua",
-        requirements="OUA-002",
-        areas="oua",
+    defect(
+        "MU-81d",
+        "opcua",
+        "An Uncertain value is refused like a bad one.",
+        _severity("good", "bad", "bad", "bad"),
+        "OUA-002",
     ),
-    Mutant(
-        id="MU-81c",
-        protocol="opcua",
-        sentence="A status code whose two highest bits are set is good.",
-        bend=_severity("good", "uncertain", "bad", "good"),
-        items="OUA-002.opcua",
-        requirements="OUA-002",
-        areas="oua",
+    defect("MU-81u", "opcua", "An Uncertain value is good.", told(_READ, change=_good), "OUA-002"),
+    defect(
+        "MU-82",
+        "opcua",
+        "The server's timestamp is the adapter's own time.",
+        told(_READ, change=lambda data: {**data, "server_timestamp": _now()}),
+        "OUA-003",
     ),
-    Mutant(
-        id="MU-81d",
-        protocol="opcua",
-        sentence="An Uncertain value is refused like a bad one.",
-        bend=_severity("good", "bad", "bad", "bad"),
-        items="OUA-002.opcua",
-        requirements="OUA-002",
-        areas="oua",
+    defect(
+        "MU-82b",
+        "opcua",
+        "A timestamp that the server does not give is the adapter's own time.",
+        told(_READ, change=lambda data: {**data, "source_timestamp": data["source_timestamp"] or _now()}),
+        "OUA-003",
     ),
-    Mutant(
-        id="MU-81u",
-        protocol="opcua",
-        sentence="An Uncertain value is good.",
-        bend=told(_READ, change=_good),
-        items="OUA-002.opcua",
-        requirements="OUA-002",
-        areas="oua",
+    defect(
+        "MU-82c",
+        "opcua",
+        "A structure is told as the text of a program's own object.",
+        told(_READ, change=_printed),
+        "OUA-003",
     ),
-    Mutant(
-        id="MU-82",
-        protocol="opcua",
-        sentence="The server's timestamp is the adapter's own time.",
-        bend=told(_READ, change=lambda data: {**data, "server_timestamp": _now()}),
-        items="OUA-003.opcua",
-        requirements="OUA-003",
-        areas="oua",
+    defect(
+        "MU-83w",
+        "opcua",
+        "A single value is written into an array.",
+        single_values_into_arrays,
+        "OUA-004",
+        "ERR-006 OUA-004",
     ),
-    Mutant(
-        id="MU-82b",
-        protocol="opcua",
-        sentence="A timestamp that the server does not give is the adapter's own time.",
-        bend=told(_READ, change=lambda data: {**data, "source_timestamp": data["source_timestamp"] or _now()}),
-        items="OUA-003.opcua",
-        requirements="OUA-003",
-        areas="oua",
+    defect(
+        "MU-83b",
+        "opcua",
+        "A single value for an array becomes an array of one element.",
+        single_values_become_arrays,
+        "OUA-004",
     ),
-    Mutant(
-        id="MU-82c",
-        protocol="opcua",
-        sentence="A structure is told as the text of a program's own object.",
-        bend=told(_READ, change=_printed),
-        items="OUA-003.opcua",
-        requirements="OUA-003",
-        areas="oua",
+    defect(
+        "MU-83c",
+        "opcua",
+        "An array of any length is sent to a node with ArrayDimensions.",
+        any_length,
+        "OUA-004",
+        "ERR-006 OUA-004",
     ),
-    Mutant(
-        id="MU-83w",
-        protocol="opcua",
-        sentence="A single value is written into an array.",
-        bend=single_values_into_arrays,
-        items="OUA-004.opcua",
-        requirements="ERR-006 OUA-004",
-        areas="oua",
+    defect(
+        "MU-84b",
+        "opcua",
+        "Of a long list of nodes there is the first page; seen by the requirement suite.",
+        first_page,
+        "OUA-006",
     ),
-    Mutant(
-        id="MU-83b",
-        protocol="opcua",
-        sentence="A single value for an array becomes an array of one element.",
-        bend=single_values_become_arrays,
-        items="OUA-004.opcua",
-        requirements="OUA-004",
-        areas="oua",
+    defect(
+        "MU-84m",
+        "opcua",
+        "The list of the children of a node that does not exist is empty.",
+        browses_instead(),
+        "OUA-006",
     ),
-    Mutant(
-        id="MU-83c",
-        protocol="opcua",
-        sentence="An array of any length is sent to a node with ArrayDimensions.",
-        bend=any_length,
-        items="OUA-004.opcua",
-        requirements="ERR-006 OUA-004",
-        areas="oua",
+    defect(
+        "MU-84o",
+        "opcua",
+        "In the place of a node that does not exist the Objects folder is browsed.",
+        browses_instead(ua.NodeId(ua.ObjectIds.ObjectsFolder)),
+        "OUA-006",
     ),
-    Mutant(
-        id="MU-84b",
-        protocol="opcua",
-        sentence="Of a long list of nodes there is the first page; seen by the requirement suite.",
-        bend=first_page,
-        items="OUA-006.opcua",
-        requirements="OUA-006",
-        areas="oua",
+    defect(
+        "MU-84c",
+        "opcua",
+        "A list says that it is a part, and its continuation point is left open.",
+        points_left_open,
+        "OUA-006",
     ),
-    Mutant(
-        id="MU-84m",
-        protocol="opcua",
-        sentence="The list of the children of a node that does not exist is empty.",
-        bend=browses_instead(),
-        items="OUA-006.opcua",
-        requirements="OUA-006",
-        areas="oua",
+    defect("MU-85", "opcua", "A circle of references is followed without end.", circles(1_000_000), "OUA-006"),
+    defect(
+        "MU-85b",
+        "opcua",
+        "A variable is listed as often as it is found in a circle of references, 20 levels deep.",
+        circles(20),
+        "OUA-006",
     ),
-    Mutant(
-        id="MU-84o",
-        protocol="opcua",
-        sentence="In the place of a node that does not exist the Objects folder is browsed.",
-        bend=browses_instead(ua.NodeId(ua.ObjectIds.ObjectsFolder)),
-        items="OUA-006.opcua",
-        requirements="OUA-006",
-        areas="oua",
+    defect(
+        "MU-87",
+        "opcua",
+        "A Write that is not complete yet is told as checked.",
+        told(_WRITE, change=_checked),
+        "OUA-007",
     ),
-    Mutant(
-        id="MU-84c",
-        protocol="opcua",
-        sentence="A list says that it is a part, and its continuation point is left open.",
-        bend=points_left_open,
-        items="OUA-006.opcua",
-        requirements="OUA-006",
-        areas="oua",
+    defect(
+        "MU-87b",
+        "opcua",
+        "A value that the server has clamped is told as the one that was asked for.",
+        clamping_is_hidden,
+        "OUA-007",
     ),
-    Mutant(
-        id="MU-85",
-        protocol="opcua",
-        sentence="A circle of references is followed without end.",
-        bend=circles(1_000_000),
-        items="OUA-006.opcua",
-        requirements="OUA-006",
-        areas="oua",
+    defect(
+        "MU-129b",
+        "opcua",
+        "BadUserAccessDenied is an internal error.",
+        failing(_WRITE, change=_denied_is_internal),
+        "OUA-005",
+        "ERR-001 ERR-006 OUA-005",
     ),
-    Mutant(
-        id="MU-85b",
-        protocol="opcua",
-        sentence="A variable is listed as often as it is found in a circle of references, 20 levels deep.",
-        bend=circles(20),
-        items="OUA-006.opcua",
-        requirements="OUA-006",
-        areas="oua",
-    ),
-    Mutant(
-        id="MU-87",
-        protocol="opcua",
-        sentence="A Write that is not complete yet is told as checked.",
-        bend=told(_WRITE, change=_checked),
-        items="OUA-007.opcua",
-        requirements="OUA-007",
-        areas="oua",
-    ),
-    Mutant(
-        id="MU-87b",
-        protocol="opcua",
-        sentence="A value that the server has clamped is told as the one that was asked for.",
-        bend=clamping_is_hidden,
-        items="OUA-007.opcua",
-        requirements="OUA-007",
-        areas="oua",
-    ),
-    Mutant(
-        id="MU-129b",
-        protocol="opcua",
-        sentence="BadUserAccessDenied is an internal error.",
-        bend=failing(_WRITE, change=_denied_is_internal),
-        items="OUA-005.opcua",
-        requirements="ERR-001 ERR-006 OUA-005",
-        areas="oua",
-    ),
-    Mutant(
-        id="MU-129c",
-        protocol="opcua",
-        sentence="A status and a SourceTimestamp are written with every value; seen by the requirement suite.",
-        bend=writes_status_and_timestamp,
-        items="OUA-005.opcua",
-        requirements="OUA-005",
-        areas="oua",
+    defect(
+        "MU-129c",
+        "opcua",
+        "A status and a SourceTimestamp are written with every value; seen by the requirement suite.",
+        writes_status_and_timestamp,
+        "OUA-005",
     ),
 )

@@ -8,11 +8,11 @@ from typing import Any
 from ...core import AdapterServer
 from ..any_protocol import answers_from_memory_when_gone, guard_after_sending
 from ..claims import local_time
-from ..mutant import Data, Mutant, told
+from ..defect import Data, Defect, defect, told
 from .enc import as_zero, by_way_of_float
-from .further import cut_off, declared, last_answer, merged, module_of
+from .further import cut_off, last_answer, merged, module_of
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ, _WRITE, _READ_ALIAS, _WRITE_ALIAS = "read_inputs", "write_outputs", "read_slave_by_alias", "write_slave_by_alias"
 _ADDRESS_BITS = 7
@@ -59,103 +59,87 @@ def _one_decimal(data: Data) -> Data:
     return {**data, "value": round(value, 1) if isinstance(value, float) else value}
 
 
-_mutant = partial(declared, "profibus")
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
+DEFECTS: tuple[Defect, ...] = (
+    defect(
         "MU-40pr",
-        "rd",
-        "RD-001 RD-004",
-        "RD-001 RD-004",
-        told(_READ, change=_first_byte_only),
+        "profibus",
         "Of the inputs of a slave only the first byte is told, and zeros for the others.",
+        told(_READ, change=_first_byte_only),
+        "RD-001 RD-004",
     ),
-    _mutant(
+    defect(
         "MU-20pw",
-        "wr",
+        "profibus",
+        "With writes disabled outputs are written by an alias, and then denied.",
+        guard_after_sending(_WRITE_ALIAS),
         "WR-004 WR-010",
         "ERR-006 WR-004",
-        guard_after_sending(_WRITE_ALIAS),
-        "With writes disabled outputs are written by an alias, and then denied.",
     ),
-    _mutant(
+    defect(
         "MU-08pa",
-        "adr",
-        "ADR-003",
-        "ADR-003",
-        _lower_bits,
+        "profibus",
         "Of a value that does not fit into an INT16 of the outputs the lower half is written.",
+        _lower_bits,
+        "ADR-003",
     ),
-    _mutant(
+    defect(
         "MU-11pa",
-        "adr",
-        "ADR-004",
-        "ADR-004",
-        _numbers_from_texts,
+        "profibus",
         "A text with a number in it is written to the outputs as the number.",
+        _numbers_from_texts,
+        "ADR-004",
     ),
-    _mutant(
+    defect(
         "MU-06p",
-        "adr",
-        "ADR-002",
-        "ADR-002",
-        cut_off(_WRITE, "slave_address", _ADDRESS_BITS),
+        "profibus",
         "Of a station address the last 7 bits count.",
+        cut_off(_WRITE, "slave_address", _ADDRESS_BITS),
+        "ADR-002",
     ),
-    _mutant(
+    defect(
         "MU-37p",
-        "con",
-        "CON-001",
-        "CON-001",
-        last_answer(_READ),
+        "profibus",
         "Of several reads of inputs at the same time all are told what the last one has found.",
+        last_answer(_READ),
+        "CON-001",
     ),
-    _mutant(
+    defect(
         "MU-41p",
-        "con",
-        "CON-004",
-        "CON-004",
-        merged(_WRITE_ALIAS, lambda asked: asked.alias, _set),
+        "profibus",
         "Of two values of the outputs at the same time only one is sent, and both are told as successes.",
+        merged(_WRITE_ALIAS, lambda asked: asked.alias, _set),
+        "CON-004",
     ),
-    _mutant(
-        "MU-56p",
-        "enc",
-        "ENC-004",
-        "ENC-004",
-        told(_READ_ALIAS, change=as_zero),
-        "A FLOAT32 of the inputs that is NaN is 0.",
+    defect(
+        "MU-56p", "profibus", "A FLOAT32 of the inputs that is NaN is 0.", told(_READ_ALIAS, change=as_zero), "ENC-004"
     ),
-    _mutant(
+    defect(
         "MU-57p",
-        "enc",
-        "ENC-003",
-        "ENC-003",
-        told(_READ_ALIAS, change=_one_decimal),
+        "profibus",
         "A floating-point number of the inputs is rounded to one decimal.",
+        told(_READ_ALIAS, change=_one_decimal),
+        "ENC-003",
     ),
-    _mutant(
+    defect(
         "MU-124p",
-        "enc",
+        "profibus",
+        "started_at of a PROFIBUS answer is the local time with a Z behind it.",
+        local_time,
         "ENC-003 ENC-004 ENC-005 ENC-007",
         "ENC-007",
-        local_time,
-        "started_at of a PROFIBUS answer is the local time with a Z behind it.",
     ),
-    _mutant(
+    defect(
         "MU-58p",
-        "enc",
-        "ENC-005",
-        "ENC-005",
-        told(_READ_ALIAS, change=by_way_of_float),
+        "profibus",
         "A UINT64 of the inputs above 2^53 is rounded.",
+        told(_READ_ALIAS, change=by_way_of_float),
+        "ENC-005",
     ),
-    _mutant(
+    defect(
         "MU-35pb",
-        "rec",
-        "REC-002 REC-003",
-        "REC-002 REC-003",
-        answers_from_memory_when_gone("read_inputs", silent=True),
+        "profibus",
         "While the device is gone, a read of the inputs of a slave succeeds with what was read before.",
+        answers_from_memory_when_gone("read_inputs", silent=True),
+        "REC-002 REC-003",
     ),
 )

@@ -10,11 +10,11 @@ from ...modbus.shapes import Registers, Typed
 from ...modbus.wire import Frame, reply_pdu
 from ...opcua import tools as opcua_tools
 from ..any_protocol import answers_from_memory_when_gone, answers_twice_from_one_exchange
+from ..defect import Data, Defect, Handler, around, defect
 from ..modbus import input_registers_for_holding, next_register
-from ..mutant import Data, Handler, Mutant, wrap
 from ..refusals import begins_at_0_again, instead_of
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ_INPUT, _READ_HOLDING = "read_input_registers", "read_multiple_holding_registers"
 _MOST = 125
@@ -64,15 +64,10 @@ class AnyNumber(Registers):
     count: int
 
 
-def capped_at_125(server: AdapterServer) -> None:
-    def capped(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments.model_copy(update={"count": min(arguments.count, _MOST)}))
-            return data
-
-        return handler
-
-    wrap(server, _READ_HOLDING, capped, model=AnyNumber)
+@around(_READ_HOLDING, model=AnyNumber)
+async def capped_at_125(genuine: Handler, call: Call, arguments: Any) -> Data:
+    data = await genuine(call, arguments.model_copy(update={"count": min(arguments.count, _MOST)}))
+    return data
 
 
 def register_by_register(server: AdapterServer) -> None:
@@ -98,131 +93,76 @@ def unsigned_as_signed(server: AdapterServer) -> None:
     opcua_tools.from_variant = signed
 
 
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        id="MU-01r",
-        protocol="modbus",
-        sentence="Reads go to the register after the one that was asked for.",
-        bend=next_register(_READ_INPUT, _READ_HOLDING),
-        items="RD-001.modbus RD-002.modbus RD-003.modbus RD-004.modbus RD-005.modbus RD-007.modbus",
-        requirements="RD-001 RD-002 RD-003 RD-004 RD-007",
-        areas="rd",
+DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-01r",
+        "modbus",
+        "Reads go to the register after the one that was asked for.",
+        next_register(_READ_INPUT, _READ_HOLDING),
+        "RD-001 RD-002 RD-003 RD-004 RD-005 RD-007",
+        "RD-001 RD-002 RD-003 RD-004 RD-007",
     ),
-    Mutant(
-        id="MU-01s",
-        protocol="opcua",
-        sentence="Numbers of 16 bits without a sign are read as numbers with one.",
-        bend=unsigned_as_signed,
-        items="RD-001.opcua",
-        requirements="RD-001",
-        areas="rd",
+    defect(
+        "MU-01s",
+        "opcua",
+        "Numbers of 16 bits without a sign are read as numbers with one.",
+        unsigned_as_signed,
+        "RD-001",
     ),
-    Mutant(
-        id="MU-05",
-        protocol="modbus",
-        sentence="Whatever unit is asked for, it is unit 1.",
-        bend=always_unit_1,
-        items="RD-003.modbus",
-        requirements="RD-003",
-        areas="rd",
+    defect("MU-05", "modbus", "Whatever unit is asked for, it is unit 1.", always_unit_1, "RD-003"),
+    defect(
+        "MU-07r",
+        "modbus",
+        "Holding registers are read with function 4.",
+        input_registers_for_holding,
+        "RD-001 RD-002 RD-003 RD-004 RD-005 RD-007",
     ),
-    Mutant(
-        id="MU-07r",
-        protocol="modbus",
-        sentence="Holding registers are read with function 4.",
-        bend=input_registers_for_holding,
-        items="RD-001.modbus RD-002.modbus RD-003.modbus RD-004.modbus RD-005.modbus RD-007.modbus",
-        requirements="RD-001 RD-002 RD-003 RD-004 RD-005 RD-007",
-        areas="rd",
+    defect(
+        "MU-35r",
+        "modbus",
+        "While the device is gone, holding registers are read with the values that were read before.",
+        answers_from_memory_when_gone(_READ_HOLDING),
+        "RD-004",
     ),
-    Mutant(
-        id="MU-35r",
-        protocol="modbus",
-        sentence="While the device is gone, holding registers are read with the values that were read before.",
-        bend=answers_from_memory_when_gone(_READ_HOLDING),
-        items="RD-004.modbus",
-        requirements="RD-004",
-        areas="rd",
+    defect(
+        "MU-36r",
+        "modbus",
+        "Holding registers that are read soon after are answered from memory, as if from the device.",
+        answers_twice_from_one_exchange(_READ_HOLDING),
+        "RD-001 RD-002 RD-004 RD-005 RD-007",
+        "ENV-008 RD-001 RD-002 RD-004 RD-005 RD-007",
     ),
-    Mutant(
-        id="MU-36r",
-        protocol="modbus",
-        sentence="Holding registers that are read soon after are answered from memory, as if from the device.",
-        bend=answers_twice_from_one_exchange(_READ_HOLDING),
-        items="RD-001.modbus RD-002.modbus RD-004.modbus RD-005.modbus RD-007.modbus",
-        requirements="ENV-008 RD-001 RD-002 RD-004 RD-005 RD-007",
-        areas="rd",
+    defect(
+        "MU-36s",
+        "opcua",
+        "A node that is read soon after is answered from memory, as if from the server.",
+        answers_twice_from_one_exchange("read_opcua_node"),
+        "RD-001 RD-004",
+        "ENV-008 RD-001 RD-004",
     ),
-    Mutant(
-        id="MU-36s",
-        protocol="opcua",
-        sentence="A node that is read soon after is answered from memory, as if from the server.",
-        bend=answers_twice_from_one_exchange("read_opcua_node"),
-        items="RD-001.opcua RD-004.opcua",
-        requirements="ENV-008 RD-001 RD-004",
-        areas="rd",
+    defect("MU-39", "modbus", "An answer with any transaction identifier is accepted.", any_transaction, "RD-005"),
+    defect(
+        "MU-40r",
+        "modbus",
+        "Registers that the device did not send are 0.",
+        instead_of("protocol_error", lambda arguments: [0] * arguments.count),
+        "RD-003 RD-005",
     ),
-    Mutant(
-        id="MU-39",
-        protocol="modbus",
-        sentence="An answer with any transaction identifier is accepted.",
-        bend=any_transaction,
-        items="RD-005.modbus",
-        requirements="RD-005",
-        areas="rd",
+    defect("MU-41", "modbus", "The two registers of a float are read in two requests.", register_by_register, "RD-007"),
+    defect(
+        "MU-42",
+        "modbus",
+        "Coils are read with the padding of their last byte.",
+        whole_bytes_of_bits,
+        "RD-001 RD-002 RD-006 RD-007",
     ),
-    Mutant(
-        id="MU-40r",
-        protocol="modbus",
-        sentence="Registers that the device did not send are 0.",
-        bend=instead_of("protocol_error", lambda arguments: [0] * arguments.count),
-        items="RD-003.modbus RD-005.modbus",
-        requirements="RD-003 RD-005",
-        areas="rd",
+    defect(
+        "MU-42r",
+        "modbus",
+        "The first bit of each byte is told as its last.",
+        first_bit_told_last,
+        "RD-001 RD-006 RD-007",
     ),
-    Mutant(
-        id="MU-41",
-        protocol="modbus",
-        sentence="The two registers of a float are read in two requests.",
-        bend=register_by_register,
-        items="RD-007.modbus",
-        requirements="RD-007",
-        areas="rd",
-    ),
-    Mutant(
-        id="MU-42",
-        protocol="modbus",
-        sentence="Coils are read with the padding of their last byte.",
-        bend=whole_bytes_of_bits,
-        items="RD-001.modbus RD-002.modbus RD-006.modbus RD-007.modbus",
-        requirements="RD-001 RD-002 RD-006 RD-007",
-        areas="rd",
-    ),
-    Mutant(
-        id="MU-42r",
-        protocol="modbus",
-        sentence="The first bit of each byte is told as its last.",
-        bend=first_bit_told_last,
-        items="RD-001.modbus RD-006.modbus RD-007.modbus",
-        requirements="RD-001 RD-006 RD-007",
-        areas="rd",
-    ),
-    Mutant(
-        id="MU-43",
-        protocol="modbus",
-        sentence="Of 126 registers 125 are read.",
-        bend=capped_at_125,
-        items="RD-007.modbus",
-        requirements="ERR-001 ERR-002 RD-007",
-        areas="rd",
-    ),
-    Mutant(
-        id="MU-44r",
-        protocol="modbus",
-        sentence="Two registers from 65535 are 65535 and 0.",
-        bend=begins_at_0_again,
-        items="RD-007.modbus",
-        requirements="RD-007",
-        areas="rd",
-    ),
+    defect("MU-43", "modbus", "Of 126 registers 125 are read.", capped_at_125, "RD-007", "ERR-001 ERR-002 RD-007"),
+    defect("MU-44r", "modbus", "Two registers from 65535 are 65535 and 0.", begins_at_0_again, "RD-007"),
 )

@@ -5,17 +5,17 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from ...core import AdapterServer
+from ...core import AdapterServer, Call
 from ...modbus import link as modbus_link
 from ...mqtt import link as mqtt_link
 from ...opcua import link as opcua_link
 from ...opcua.link import Link, Session
 from ..any_protocol import answers_from_memory_when_gone, never_reconnects
+from ..defect import Defect, defect, failing
 from ..mqtt import forgets_subscriptions
-from ..mutant import Mutant, failing
 from ..refusals import _end
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 
 def sessions_left_behind(server: AdapterServer) -> None:
@@ -23,8 +23,8 @@ def sessions_left_behind(server: AdapterServer) -> None:
     left: list[Session] = []
 
     def forget(session: Session) -> None:
-        if link._session is session:
-            link._session = None
+        if link._connection is session:
+            link._connection = None
             left.append(session)
 
     link._drop = forget
@@ -39,18 +39,20 @@ def stays_on_a_dead_connection(server: AdapterServer) -> None:
     """A call that ran out of time leaves its connection as it is."""
     genuine = modbus_link.Link._explained
 
-    def explained(link: modbus_link.Link, connection: modbus_link._Connection, error: Exception) -> Exception:
+    def explained(
+        link: modbus_link.Link, call: Call, connection: modbus_link._Connection, error: Exception
+    ) -> Exception:
         if not connection.lost and isinstance(error, TimeoutError | modbus_link.ModbusException):
             link._connection = connection
             # The library would end it after three calls.
             connection.client.ctx.count_until_disconnect = sys.maxsize
-        return genuine(link, connection, error)
+        return genuine(link, call, connection, error)
 
     close = modbus_link.Link._drop
 
-    def drop(link: modbus_link.Link) -> None:
-        if link._connection is not None and link._connection.lost:
-            close(link)
+    def drop(link: modbus_link.Link, connection: modbus_link._Connection | None) -> None:
+        if connection is not None and connection.lost:
+            close(link, connection)
 
     modbus_link.Link._explained = explained
     modbus_link.Link._drop = drop
@@ -71,95 +73,70 @@ def remembers_one_subscription(server: AdapterServer) -> None:
     mqtt_link.Link._restore = restore
 
 
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        id="MU-88",
-        protocol="opcua",
-        sentence="Every reconnect leaves a session behind.",
-        bend=sessions_left_behind,
-        items="REC-006.opcua",
-        requirements="CON-006 REC-006",
-        areas="rec",
+DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-88", "opcua", "Every reconnect leaves a session behind.", sessions_left_behind, "REC-006", "CON-006 REC-006"
     ),
-    Mutant(
-        id="MU-88c",
-        protocol="opcua",
-        sentence="A session that the server has closed goes on being used.",
-        bend=stays_in_a_closed_session,
-        items="REC-006.opcua",
-        requirements="REC-006",
-        areas="rec",
+    defect(
+        "MU-88c",
+        "opcua",
+        "A session that the server has closed goes on being used.",
+        stays_in_a_closed_session,
+        "REC-006",
     ),
-    Mutant(
-        id="MU-30c",
-        protocol="modbus",
-        sentence="After a call without an answer its connection goes on being used.",
-        bend=stays_on_a_dead_connection,
-        items="REC-003.modbus",
-        requirements="REC-003",
-        areas="rec",
+    defect(
+        "MU-30c",
+        "modbus",
+        "After a call without an answer its connection goes on being used.",
+        stays_on_a_dead_connection,
+        "REC-003",
     ),
-    Mutant(
-        id="MU-35c",
-        protocol="modbus",
-        sentence="While the device is gone, a read of one register succeeds with what was read before.",
-        bend=answers_from_memory_when_gone("read_multiple_holding_registers"),
-        items="REC-002.modbus",
-        requirements="REC-002",
-        areas="rec",
+    defect(
+        "MU-35c",
+        "modbus",
+        "While the device is gone, a read of one register succeeds with what was read before.",
+        answers_from_memory_when_gone("read_multiple_holding_registers"),
+        "REC-002",
     ),
-    Mutant(
-        id="MU-35d",
-        protocol="mqtt",
-        sentence="While the broker is gone, its last status is told, as if it was still there.",
-        bend=answers_from_memory_when_gone("get_broker_info"),
-        items="REC-002.mqtt",
-        requirements="REC-002 not_proven",
-        areas="rec",
+    defect(
+        "MU-35d",
+        "mqtt",
+        "While the broker is gone, its last status is told, as if it was still there.",
+        answers_from_memory_when_gone("get_broker_info"),
+        "REC-002",
+        "REC-002 not_proven",
     ),
-    Mutant(
-        id="MU-65b",
-        protocol="mqtt",
-        sentence="Subscriptions that died with the connection are never made again.",
-        bend=forgets_subscriptions,
-        items="REC-004.mqtt",
-        requirements="REC-004",
-        areas="rec",
+    defect(
+        "MU-65b",
+        "mqtt",
+        "Subscriptions that died with the connection are never made again.",
+        forgets_subscriptions,
+        "REC-004",
     ),
-    Mutant(
-        id="MU-65n",
-        protocol="mqtt",
-        sentence="Of the subscriptions that died with the connection only the oldest is made again.",
-        bend=remembers_one_subscription,
-        items="REC-004.mqtt",
-        requirements="REC-004",
-        areas="rec",
+    defect(
+        "MU-65n",
+        "mqtt",
+        "Of the subscriptions that died with the connection only the oldest is made again.",
+        remembers_one_subscription,
+        "REC-004",
     ),
-    Mutant(
-        id="MU-126k",
-        protocol="s7",
-        sentence="After a failed connection no call works any more.",
-        bend=never_reconnects(),
-        items="REC-001.s7 REC-002.s7 REC-005.s7",
-        requirements="REC-001 REC-005",
-        areas="rec",
+    defect(
+        "MU-126k",
+        "s7",
+        "After a failed connection no call works any more.",
+        never_reconnects(),
+        "REC-001 REC-002 REC-005",
+        "REC-001 REC-005",
     ),
-    Mutant(
-        id="MU-93b",
-        protocol="modbus",
-        sentence="An answer that is no frame ends the adapter.",
-        bend=failing(change=_end),
-        items="REC-005.modbus",
-        requirements="MCP-007",
-        areas="rec",
+    defect(
+        "MU-93b", "modbus", "An answer that is no frame ends the adapter.", failing(change=_end), "REC-005", "MCP-007"
     ),
-    Mutant(
-        id="MU-126c",
-        protocol="opcua",
-        sentence="After a failed connection no call works any more.",
-        bend=never_reconnects(),
-        items="REC-001.opcua REC-002.opcua REC-005.opcua",
-        requirements="REC-001 REC-005",
-        areas="rec",
+    defect(
+        "MU-126c",
+        "opcua",
+        "After a failed connection no call works any more.",
+        never_reconnects(),
+        "REC-001 REC-002 REC-005",
+        "REC-001 REC-005",
     ),
 )

@@ -8,14 +8,13 @@ from typing import Any
 from ...core import AdapterServer, Call
 from ..any_protocol import answers_from_memory_when_gone, guard_after_sending
 from ..claims import local_time
-from ..mutant import Data, Mutant, failing, told
+from ..defect import Data, Defect, defect, failing, told
 from ..refusals import _end
 from .enc import as_zero, by_way_of_float
 from .further import (
     beginning,
     controls_always,
     cut_off,
-    declared,
     last_answer,
     lower_half,
     merged,
@@ -25,7 +24,7 @@ from .further import (
     truth,
 )
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ, _WRITE = "read_db_typed", "write_db"
 _BLOCK_BITS = 16
@@ -64,130 +63,92 @@ def _four_digits(value: Any, kind: str) -> Any:
     return float(f"{value:.4g}") if kind == "REAL" and isinstance(value, float) else value
 
 
-_mutant = partial(declared, "s7")
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
+DEFECTS: tuple[Defect, ...] = (
+    defect(
         "MU-14kw",
-        "wr",
+        "s7",
+        "S7 writes are told and not sent.",
+        _confirmed_at_once,
         "WR-001 WR-002 WR-003 WR-004 WR-005 WR-006 WR-007 WR-010",
         "WR-001 WR-006 WR-007 WR-011",
-        _confirmed_at_once,
-        "S7 writes are told and not sent.",
     ),
-    _mutant("MU-04kw", "rd", "RD-001", "RD-001", told(_READ, change=_signed), "A WORD is read with a sign."),
-    _mutant(
-        "MU-02k",
-        "wr",
-        "WR-002",
-        "WR-002",
-        _four_bytes_for_an_int,
-        "An INT is written with the two bytes that follow it.",
-    ),
-    _mutant(
+    defect("MU-04kw", "s7", "A WORD is read with a sign.", told(_READ, change=_signed), "RD-001"),
+    defect("MU-02k", "s7", "An INT is written with the two bytes that follow it.", _four_bytes_for_an_int, "WR-002"),
+    defect(
         "MU-20kb",
-        "wr",
-        "WR-004",
-        "WR-004",
-        guard_after_sending("write_marker"),
+        "s7",
         "With writes disabled a flag is written, and then denied.",
+        guard_after_sending("write_marker"),
+        "WR-004",
     ),
-    _mutant(
+    defect(
         "MU-08kw",
-        "adr",
-        "ADR-003",
-        "ADR-003",
-        reencoded("s7", lower_half),
+        "s7",
         "Of a value that does not fit into an INT the lower half is written.",
+        reencoded("s7", lower_half),
+        "ADR-003",
     ),
-    _mutant("MU-11k", "adr", "ADR-004", "ADR-004", reencoded("s7", truth), "The word false is true for a bit."),
-    _mutant(
+    defect("MU-11k", "s7", "The word false is true for a bit.", reencoded("s7", truth), "ADR-004"),
+    defect(
         "MU-06k",
-        "adr",
-        "ADR-002",
-        "ADR-002",
-        cut_off(_WRITE, "db_number", _BLOCK_BITS),
+        "s7",
         "Of the number of a data block the last 16 bits count.",
+        cut_off(_WRITE, "db_number", _BLOCK_BITS),
+        "ADR-002",
     ),
-    _mutant(
+    defect(
         "MU-37k",
-        "con",
-        "CON-001",
-        "CON-001",
-        last_answer(_READ),
+        "s7",
         "Of several S7 reads at the same time all are told what the last one has found.",
+        last_answer(_READ),
+        "CON-001",
     ),
-    _mutant(
+    defect(
         "MU-41k",
-        "con",
-        "CON-004",
-        "CON-004",
-        merged(_WRITE, lambda asked: (asked.db_number, asked.start_offset), _written),
+        "s7",
         "Of two S7 writes at the same time only one is sent, and both are told as successes.",
+        merged(_WRITE, lambda asked: (asked.db_number, asked.start_offset), _written),
+        "CON-004",
     ),
-    _mutant("MU-56k", "enc", "ENC-004", "ENC-004", told(_READ, change=as_zero), "A REAL that is NaN is 0."),
-    _mutant(
+    defect("MU-56k", "s7", "A REAL that is NaN is 0.", told(_READ, change=as_zero), "ENC-004"),
+    defect(
         "MU-20kc",
-        "wr",
-        "WR-004",
-        "WR-004",
-        controls_always("set_cpu_state"),
+        "s7",
         "The CPU is started and stopped wherever writes are enabled, whatever the switch for control says.",
+        controls_always("set_cpu_state"),
+        "WR-004",
     ),
-    _mutant(
-        "MU-57k",
-        "enc",
-        "ENC-003",
-        "ENC-003",
-        reencoded("s7", _four_digits),
-        "Of a REAL that is written four digits are kept.",
-    ),
-    _mutant(
+    defect("MU-57k", "s7", "Of a REAL that is written four digits are kept.", reencoded("s7", _four_digits), "ENC-003"),
+    defect(
         "MU-123kl",
-        "enc",
-        "ENC-006",
-        "ENC-006",
-        told(_READ, change=beginning),
+        "s7",
         "Of the text of a STRING the first 20 characters are read.",
-    ),
-    _mutant(
-        "MU-58k",
-        "enc",
-        "ENC-005",
-        "ENC-005",
-        told(_READ, change=by_way_of_float),
-        "A LINT above 2^53 is rounded.",
-    ),
-    _mutant(
-        "MU-123k",
-        "enc",
+        told(_READ, change=beginning),
         "ENC-006",
-        "ENC-006",
-        told(_READ, change=stripped),
-        "A STRING is read without the spaces around it.",
     ),
-    _mutant(
+    defect("MU-58k", "s7", "A LINT above 2^53 is rounded.", told(_READ, change=by_way_of_float), "ENC-005"),
+    defect("MU-123k", "s7", "A STRING is read without the spaces around it.", told(_READ, change=stripped), "ENC-006"),
+    defect(
         "MU-124k",
-        "enc",
+        "s7",
+        "started_at of an S7 answer is the local time with a Z behind it.",
+        local_time,
         "ENC-003 ENC-004 ENC-005 ENC-006 ENC-007",
         "ENC-007",
-        local_time,
-        "started_at of an S7 answer is the local time with a Z behind it.",
     ),
-    _mutant(
+    defect(
         "MU-93k",
-        "res",
+        "s7",
+        "An S7 answer that does not belong to its request ends the adapter.",
+        failing(change=_end),
         "RES-003",
         "MCP-007",
-        failing(change=_end),
-        "An S7 answer that does not belong to its request ends the adapter.",
     ),
-    _mutant(
+    defect(
         "MU-35k",
-        "rec",
-        "REC-002",
-        "REC-002",
-        answers_from_memory_when_gone("read_db_typed"),
+        "s7",
         "While the device is gone, a read of a value of a data block succeeds with what was read before.",
+        answers_from_memory_when_gone("read_db_typed"),
+        "REC-002",
     ),
 )

@@ -18,9 +18,9 @@ from ...mqtt.edge_node import EdgeNode
 from ...mqtt.link import Link
 from ...mqtt.payload import Metric
 from ...mqtt.topics import NAMESPACE
+from ..defect import Data, Defect, Handler, around, defect, wrap
 from ..host_application import beside
 from ..mqtt import link_of
-from ..mutant import Data, Handler, Mutant, each, wrap
 from ..sparkplug import (
     birth_without_metrics,
     births,
@@ -31,12 +31,12 @@ from ..sparkplug import (
     swapped_field_numbers,
 )
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _DATA = "publish_device_data"
 _LEVELS = Annotated[str, Field(min_length=1, pattern="^[^+#]+$")]
 _LEVEL_OR_NOTHING = Annotated[str | None, Field(pattern="^[^/+#]*$")]
-_EVERY = " ".join(f"SPB-{number:03}.mqtt" for number in (1, 2, 3, 4, 5, 6, 8, 9, 12))
+_EVERY = " ".join(f"SPB-{number:03}" for number in (1, 2, 3, 4, 5, 6, 8, 9, 12))
 """The checks in which the adapter publishes as an edge node."""
 _EVERY_SPARKPLUG = f"{_EVERY} SPB-010 SPB-011 SPB-013"
 
@@ -44,11 +44,11 @@ _EVERY_SPARKPLUG = f"{_EVERY} SPB-010 SPB-011 SPB-013"
 def encoding(change: Callable[[Metric], Metric]) -> Callable[[AdapterServer], None]:
     """Return the defect that metrics of the edge node are encoded as others."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         genuine = edge_node.encode
         edge_node.encode = lambda metrics, seq: genuine([change(metric) for metric in metrics], seq)
 
-    return bend
+    return apply
 
 
 def _unsigned(metric: Metric) -> Metric:
@@ -72,26 +72,20 @@ def number_255_left_out(server: AdapterServer) -> None:
     EdgeNode.numbered = numbered
 
 
-def later_number_told(genuine: Handler) -> Handler:
-    async def handler(call: Call, arguments: Any) -> Data:
+async def later_number_told(genuine: Handler, call: Call, arguments: Any) -> Data:
+    data = await genuine(call, arguments)
+    return {**data, "seq": (data["seq"] + 4) % 256}
+
+
+@around(_DATA)
+async def failures_use_up_numbers(genuine: Any, call: Call, arguments: Any) -> Data:
+    try:
         data: Data = await genuine(call, arguments)
-        return {**data, "seq": (data["seq"] + 4) % 256}
-
-    return handler
-
-
-def failures_use_up_numbers(genuine: Handler) -> Handler:
-    node = genuine.__self__._node
-
-    async def handler(call: Call, arguments: Any) -> Data:
-        try:
-            data: Data = await genuine(call, arguments)
-        except AdapterError:
-            node.seq = (node.seq + 1) % 256
-            raise
-        return data
-
-    return handler
+    except AdapterError:
+        node = genuine.__self__._node
+        node.seq = (node.seq + 1) % 256
+        raise
+    return data
 
 
 def unborn_devices_report(server: AdapterServer) -> None:
@@ -168,13 +162,10 @@ def commands_numbered(server: AdapterServer) -> None:
     sparkplug_tools.encode = lambda metrics, seq: genuine(metrics, 7 if seq is None else seq)
 
 
-def commands_itself(genuine: Handler) -> Handler:
-    async def handler(call: Call, arguments: Any) -> Data:
-        own = link_name(genuine)
-        data: Data = await genuine(call, arguments.model_copy(update={"edge_node_id": own}))
-        return data
-
-    return handler
+async def commands_itself(genuine: Handler, call: Call, arguments: Any) -> Data:
+    own = link_name(genuine)
+    data = await genuine(call, arguments.model_copy(update={"edge_node_id": own}))
+    return data
 
 
 def link_name(genuine: Handler) -> str:
@@ -191,37 +182,31 @@ def commands_kept(server: AdapterServer) -> None:
         while kept:
             made.send(kept.pop(0))
 
-    def keeping(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code in ("connect_failed", "connection_lost"):
-                    group = arguments.group_id or genuine.__self__._node.group
-                    topic = f"{NAMESPACE}/{group}/DCMD/{arguments.edge_node_id}/{arguments.device_id}"
-                    metrics = sparkplug_tools._checked(arguments.metrics)
-                    kept.append(Message(topic=topic, payload=payload.encode(metrics, None)))
-                raise
-            return data
-
-        return handler
+    @around("publish_device_command")
+    async def keeping(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            data = await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code in ("connect_failed", "connection_lost"):
+                group = arguments.group_id or genuine.__self__._node.group
+                topic = f"{NAMESPACE}/{group}/DCMD/{arguments.edge_node_id}/{arguments.device_id}"
+                metrics = sparkplug_tools._checked(arguments.metrics)
+                kept.append(Message(topic=topic, payload=payload.encode(metrics, None)))
+            raise
+        return data
 
     Link._restore = restore
-    each("publish_device_command", change=keeping)(server)
+    keeping(server)
 
 
 def groups_left_empty(server: AdapterServer) -> None:
-    def in_its_own(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments.model_copy(update={"group_id": arguments.group_id or None}))
-            return data
-
-        return handler
+    async def in_its_own(genuine: Handler, call: Call, arguments: Any) -> Data:
+        return await genuine(call, arguments.model_copy(update={"group_id": arguments.group_id or None}))
 
     for name in ("publish_node_command", "publish_device_command"):
         model = server._tools[name].model
         members = {"__annotations__": {"group_id": _LEVEL_OR_NOTHING}, "group_id": None, "__module__": __name__}
-        wrap(server, name, in_its_own, model=type("AnyGroup", (model,), members))
+        around(name, model=type("AnyGroup", (model,), members))(in_its_own)(server)
 
 
 def commands_unchecked(server: AdapterServer) -> None:
@@ -262,10 +247,10 @@ def gaps_untold(server: AdapterServer) -> None:
 def _telling(change: Callable[[int], int]) -> Callable[[AdapterServer], None]:
     """Return the defect that the clock of payloads and metrics tells another time in nanoseconds."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         payload.time = SimpleNamespace(time_ns=lambda: change(time.time_ns()))
 
-    return bend
+    return apply
 
 
 def dead_devices_are_reborn(server: AdapterServer) -> None:
@@ -298,141 +283,170 @@ def deaths_do_not_outlive_a_connection(server: AdapterServer) -> None:
     EdgeNode.numbered, Link._connect = numbered, connect
 
 
-def _mutant(identifier: str, sentence: str, bend: Any, items: str, requirements: str, *, quick: bool = False) -> Mutant:
-    return Mutant(
-        id=f"MU-{identifier}",
-        protocol="mqtt",
-        sentence=sentence,
-        bend=bend,
-        items=" ".join(item if item.endswith(".mqtt") else f"{item}.mqtt" for item in items.split()),
-        requirements=requirements,
-        areas="spb",
-        quick=quick,
-    )
-
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant("70s", "Every device counts the sequence of its own messages.", sequence_per_device, _EVERY, "SPB-004"),
-    _mutant("71", "Sequence number 255 is left out.", number_255_left_out, "SPB-004", "SPB-004"),
-    _mutant(
-        "72",
+DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-70s",
+        "mqtt",
+        "Every device counts the sequence of its own messages.",
+        sequence_per_device,
+        _EVERY,
+        "SPB-004",
+    ),
+    defect("MU-71", "mqtt", "Sequence number 255 is left out.", number_255_left_out, "SPB-004"),
+    defect(
+        "MU-72",
+        "mqtt",
         "A publish that failed uses up a sequence number.",
-        each(_DATA, change=failures_use_up_numbers),
+        failures_use_up_numbers,
         "SPB-003 SPB-005 SPB-009",
         "SPB-004 SPB-005",
     ),
-    _mutant(
-        "71t",
+    defect(
+        "MU-71t",
+        "mqtt",
         "The sequence number that is told is that of a later message.",
-        each(_DATA, change=later_number_told),
-        "SPB-004",
+        around(_DATA)(later_number_told),
         "SPB-004",
     ),
-    _mutant(
-        "73s",
+    defect(
+        "MU-73s",
+        "mqtt",
         "A device's data are published, its birth never.",
         never_born,
         _EVERY,
         "SPB-001 SPB-003 SPB-004 SPB-006 SPB-008 SPB-012",
     ),
-    _mutant(
-        "73b",
-        "Data of a device that was never born are published.",
-        unborn_devices_report,
-        "SPB-003",
-        "SPB-003",
-    ),
-    _mutant("73d", "A device that died is born again with the node.", dead_devices_are_reborn, "SPB-003", "SPB-003"),
-    _mutant(
-        "73r",
+    defect("MU-73b", "mqtt", "Data of a device that was never born are published.", unborn_devices_report, "SPB-003"),
+    defect("MU-73d", "mqtt", "A device that died is born again with the node.", dead_devices_are_reborn, "SPB-003"),
+    defect(
+        "MU-73r",
+        "mqtt",
         "A device that died is born again with the next connection.",
         deaths_do_not_outlive_a_connection,
         "SPB-003",
-        "SPB-003",
     ),
-    _mutant("74u", "Times are seconds since 1970.", _telling(lambda ns: ns // 1000), f"{_EVERY} SPB-010", "SPB-001"),
-    _mutant(
-        "74v",
+    defect(
+        "MU-74u",
+        "mqtt",
+        "Times are seconds since 1970.",
+        _telling(lambda ns: ns // 1000),
+        f"{_EVERY} SPB-010",
+        "SPB-001",
+    ),
+    defect(
+        "MU-74v",
+        "mqtt",
         "Times are those of a time zone, not of UTC.",
         _telling(lambda ns: ns + 7_200 * 10**9),
         f"{_EVERY} SPB-010",
         "SPB-001",
     ),
-    _mutant(
-        "74s",
+    defect(
+        "MU-74s",
+        "mqtt",
         "The field numbers of Float and Double values are swapped.",
         swapped_field_numbers,
         f"{_EVERY} SPB-010",
         "SPB-001 SPB-010",
     ),
-    _mutant("75", "Negative numbers lose their sign.", encoding(_unsigned), "SPB-001", "SPB-001"),
-    _mutant("75n", "Null is encoded as 0.", encoding(_zero_for_null), "SPB-001", "SPB-001"),
-    _mutant("76w", "CONNECT carries no will.", no_will, _EVERY, "SPB-006"),
-    _mutant(
-        "76s", "bdSeq is the same with every connection.", constant_count, "SPB-003 SPB-005 SPB-006 SPB-010", "SPB-006"
+    defect("MU-75", "mqtt", "Negative numbers lose their sign.", encoding(_unsigned), "SPB-001"),
+    defect("MU-75n", "mqtt", "Null is encoded as 0.", encoding(_zero_for_null), "SPB-001"),
+    defect("MU-76w", "mqtt", "CONNECT carries no will.", no_will, _EVERY, "SPB-006"),
+    defect(
+        "MU-76s",
+        "mqtt",
+        "bdSeq is the same with every connection.",
+        constant_count,
+        "SPB-003 SPB-005 SPB-006 SPB-010",
+        "SPB-006",
     ),
-    _mutant("76d", "The session ends with DISCONNECT and without NDEATH.", no_death_before_the_end, "", "SPB-012"),
-    _mutant("77s", "NBIRTH is published with QoS 1.", births(lambda birth: replace(birth, qos=1)), _EVERY, "SPB-002"),
-    _mutant(
-        "77l",
+    defect(
+        "MU-76d", "mqtt", "The session ends with DISCONNECT and without NDEATH.", no_death_before_the_end, "", "SPB-012"
+    ),
+    defect(
+        "MU-77s",
+        "mqtt",
+        "NBIRTH is published with QoS 1.",
+        births(lambda birth: replace(birth, qos=1)),
+        _EVERY,
+        "SPB-002",
+    ),
+    defect(
+        "MU-77l",
+        "mqtt",
         "A device may have a name of several levels.",
         names_of_several_levels,
         "SPB-002",
         "SPB-001 SPB-002 SPB-004",
     ),
-    _mutant("78", "The command to be born again has no effect.", rebirths_ignored, "SPB-008", "SPB-008", quick=True),
-    _mutant("78d", "The node dies before it is born again.", dies_before_it_is_born_again, "SPB-008", "SPB-008"),
-    _mutant(
-        "78n", "Born again is the node, without its devices.", reborn_without_devices, "SPB-008", "SPB-003 SPB-008"
+    defect("MU-78", "mqtt", "The command to be born again has no effect.", rebirths_ignored, "SPB-008", quick=True),
+    defect("MU-78d", "mqtt", "The node dies before it is born again.", dies_before_it_is_born_again, "SPB-008"),
+    defect(
+        "MU-78n",
+        "mqtt",
+        "Born again is the node, without its devices.",
+        reborn_without_devices,
+        "SPB-008",
+        "SPB-003 SPB-008",
     ),
-    _mutant("78s", "The node does not subscribe to its commands.", commands_not_subscribed, "SPB-008", "SPB-008"),
-    _mutant("79", "Commands to devices pass the write guard.", commands_unguarded, "SPB-010", "WR-004"),
-    _mutant("79s", "Commands carry a sequence number.", commands_numbered, "SPB-010", "SPB-010"),
-    _mutant(
-        "79t",
+    defect("MU-78s", "mqtt", "The node does not subscribe to its commands.", commands_not_subscribed, "SPB-008"),
+    defect("MU-79", "mqtt", "Commands to devices pass the write guard.", commands_unguarded, "SPB-010", "WR-004"),
+    defect("MU-79s", "mqtt", "Commands carry a sequence number.", commands_numbered, "SPB-010"),
+    defect(
+        "MU-79t",
+        "mqtt",
         "Commands go to the adapter's own edge node.",
-        each("publish_device_command", change=commands_itself),
-        "SPB-010",
+        around("publish_device_command")(commands_itself),
         "SPB-010",
     ),
-    _mutant("79u", "Commands are not compared with the birth.", commands_unchecked, "SPB-010", "SPB-010"),
-    _mutant(
-        "79x",
+    defect("MU-79u", "mqtt", "Commands are not compared with the birth.", commands_unchecked, "SPB-010"),
+    defect(
+        "MU-79x",
+        "mqtt",
         "A command that has failed is sent with the next connection.",
         commands_kept,
         "SPB-010",
         "WR-010",
         quick=True,
     ),
-    _mutant("79y", "An empty group is taken for the adapter's own.", groups_left_empty, "SPB-010", "SPB-002"),
-    _mutant(
-        "127s",
+    defect("MU-79y", "mqtt", "An empty group is taken for the adapter's own.", groups_left_empty, "SPB-010", "SPB-002"),
+    defect(
+        "MU-127s",
+        "mqtt",
         "The birth of a device declares none of its metrics.",
         birth_without_metrics,
-        _EVERY.replace("SPB-006.mqtt ", ""),
+        _EVERY.replace("SPB-006 ", ""),
         "SPB-001 SPB-009",
     ),
-    _mutant(
-        "127b",
+    defect(
+        "MU-127b",
+        "mqtt",
         "Data with a metric that the birth did not declare are published.",
         undeclared_metrics_reported,
         "SPB-005 SPB-009",
         "SPB-009",
     ),
-    _mutant("128", "The metrics of a node that died stay good.", deaths_ignored, "SPB-011", "SPB-011"),
-    _mutant("128a", "Aliases are not resolved.", aliases_unresolved, "SPB-011", "SPB-011"),
-    _mutant("128b", "The death of an earlier life counts.", every_death_believed, "SPB-011", "SPB-011"),
-    _mutant(
-        "130",
+    defect("MU-128", "mqtt", "The metrics of a node that died stay good.", deaths_ignored, "SPB-011"),
+    defect("MU-128a", "mqtt", "Aliases are not resolved.", aliases_unresolved, "SPB-011"),
+    defect("MU-128b", "mqtt", "The death of an earlier life counts.", every_death_believed, "SPB-011"),
+    defect(
+        "MU-130",
+        "mqtt",
         "A host tells its STATE on its first connection alone.",
         beside(once=True, corrects=False),
         "SPB-013",
+    ),
+    defect("MU-130b", "mqtt", "A host believes that it is away.", beside(corrects=False), "SPB-013"),
+    defect(
+        "MU-130r", "mqtt", "The STATE of a host is not retained.", beside(retained=False), _EVERY_SPARKPLUG, "SPB-013"
+    ),
+    defect(
+        "MU-130t",
+        "mqtt",
+        "The STATE of a host has another time than its will.",
+        beside(later_ms=1),
+        _EVERY_SPARKPLUG,
         "SPB-013",
     ),
-    _mutant("130b", "A host believes that it is away.", beside(corrects=False), "SPB-013", "SPB-013"),
-    _mutant("130r", "The STATE of a host is not retained.", beside(retained=False), _EVERY_SPARKPLUG, "SPB-013"),
-    _mutant(
-        "130t", "The STATE of a host has another time than its will.", beside(later_ms=1), _EVERY_SPARKPLUG, "SPB-013"
-    ),
-    _mutant("128g", "A gap in the sequence is not told.", gaps_untold, "SPB-011", "SPB-011"),
+    defect("MU-128g", "mqtt", "A gap in the sequence is not told.", gaps_untold, "SPB-011"),
 )

@@ -7,24 +7,24 @@ from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
 from ...mqtt import link as mqtt_link
-from ..mutant import Bend, Data, Handler, Mutant, each, failing, mutants_of
+from ..defect import Change, Data, Defect, Handler, around, defect, failing
 from .con import over_a_stream
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _READ, _WRITE = "read_multiple_holding_registers", "write_register"
 _LIBRARY_RETRIES, _ADAPTER_RETRIES = 4, 3
 
 
-def patient(seconds: float, tool: str) -> Bend:
+def patient(seconds: float, tool: str) -> Change:
     """Return the defect that the adapter waits so long, whatever it was told."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         server._deadline_s = seconds
         owner = server._tools[tool].handler.__self__
         owner._link._timeout_s = seconds
 
-    return bend
+    return apply
 
 
 def patient_with_every_byte(server: AdapterServer) -> None:
@@ -57,165 +57,139 @@ def nested_retries(server: AdapterServer) -> None:
     asks_again(_READ, _ADAPTER_RETRIES)(server)
 
 
-def asks_again(tool: str, times: int) -> Bend:
+def asks_again(tool: str, times: int) -> Change:
     """Return the defect that a read that was not answered is asked so often in all, whatever the adapter was told."""
 
-    def again(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            for _ in range(times - 1):
-                try:
-                    return await genuine(call, arguments)  # type: ignore[no-any-return]
-                except AdapterError as error:
-                    if error.code != "timeout":
-                        raise
-            return await genuine(call, arguments)  # type: ignore[no-any-return]
-
-        return handler
-
-    return each(tool, change=again)
-
-
-def repeated_when_cancelled(*names: str) -> Bend:
-    """Return the defect that a call that is cancelled begins anew, where nobody can cancel it."""
-    begun = []
-
-    def again(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
+    @around(tool)
+    async def again(genuine: Handler, call: Call, arguments: Any) -> Data:
+        for _ in range(times - 1):
             try:
-                data: Data = await genuine(call, arguments)
-            except asyncio.CancelledError:
-                begun.append(asyncio.create_task(genuine(call, arguments)))
-                raise
-            return data
+                return await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code != "timeout":
+                    raise
+        return await genuine(call, arguments)
 
-        return handler
+    return again
 
-    return each(*names, change=again)
+
+def repeated_when_cancelled(*names: str) -> Change:
+    """Return the defect that a call that is cancelled begins anew, where nobody can cancel it."""
+    begun: list[asyncio.Future[Data]] = []
+
+    @around(*names)
+    async def again(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            data = await genuine(call, arguments)
+        except asyncio.CancelledError:
+            begun.append(asyncio.ensure_future(genuine(call, arguments)))
+            raise
+        return data
+
+    return again
 
 
 def deaf_to_cancellation(server: AdapterServer) -> None:
     """Let every call wait until the one before it is over, and be carried out to its end although it has been cancelled."""
     turn = asyncio.Lock()
 
-    def queued(genuine: Handler) -> Handler:
-        async def at_its_turn(call: Call, arguments: Any) -> Data:
-            async with turn:
-                return await genuine(call, arguments)  # type: ignore[no-any-return]
+    async def at_its_turn(genuine: Handler, call: Call, arguments: Any) -> Data:
+        async with turn:
+            return await genuine(call, arguments)
 
-        async def handler(call: Call, arguments: Any) -> Data:
-            return await asyncio.shield(asyncio.ensure_future(at_its_turn(call, arguments)))
+    @around()
+    async def queued(genuine: Handler, call: Call, arguments: Any) -> Data:
+        return await asyncio.shield(asyncio.ensure_future(at_its_turn(genuine, call, arguments)))
 
-        return handler
-
-    each(change=queued)(server)
+    queued(server)
 
 
 def _not_sent(call: Call, error: AdapterError) -> Exception | None:
     return AdapterError("timeout", "the write was given up", outcome="not_sent") if error.code == "timeout" else None
 
 
-def pausing(seconds: float) -> Bend:
+def pausing(seconds: float) -> Change:
     """Return the defect that the pauses between attempts to connect are all so long."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         mqtt_link._FIRST_RETRY_S = mqtt_link._LAST_RETRY_S = seconds
 
-    return bend
+    return apply
 
 
-_mutant = mutants_of("tmo")
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
+DEFECTS: tuple[Defect, ...] = (
+    defect(
         "MU-30",
         "modbus",
         "A connection whose other end has vanished is waited for without end.",
         patient(3600.0, _READ),
-        "TMO-001.modbus TMO-002.modbus TMO-004.modbus",
+        "TMO-001 TMO-002 TMO-004",
         "TMO-001",
         waits=True,
     ),
-    _mutant(
+    defect(
         "MU-30d",
         "modbus",
         "Every byte of an answer begins the time limit anew.",
         patient_with_every_byte,
-        "TMO-001.modbus TMO-002.modbus",
         "TMO-001 TMO-002",
     ),
-    _mutant(
+    defect(
         "MU-31",
         "opcua",
         "The timeout that was set has no effect: it is 30 s.",
         patient(30.0, "read_opcua_node"),
-        "TMO-001.opcua TMO-002.opcua TMO-004.opcua",
+        "TMO-001 TMO-002 TMO-004",
         "TMO-001",
     ),
-    _mutant(
+    defect(
         "MU-32",
         "modbus",
         "Adapter and library both repeat a read, so twelve requests leave.",
         nested_retries,
-        "TMO-002.modbus",
         "TMO-002",
     ),
-    _mutant(
-        "MU-31r",
-        "modbus",
-        "Another timeout than the usual one has no effect.",
-        patient(2.4, _READ),
-        "TMO-002.modbus",
-        "TMO-002",
-    ),
-    _mutant(
-        "MU-31s",
-        "s7",
-        "Another timeout than the usual one has no effect.",
-        patient(2.4, "read_db"),
-        "TMO-002.s7",
-        "TMO-002",
-    ),
-    _mutant(
+    defect("MU-31r", "modbus", "Another timeout than the usual one has no effect.", patient(2.4, _READ), "TMO-002"),
+    defect("MU-31s", "s7", "Another timeout than the usual one has no effect.", patient(2.4, "read_db"), "TMO-002"),
+    defect(
         "MU-32r",
         "modbus",
         "A read that is not answered is asked three times, and the subject file says once.",
         asks_again(_READ, 3),
-        "TMO-002.modbus",
         "TMO-002",
     ),
-    _mutant(
+    defect(
         "MU-32t",
         "bacnet",
         "A question that is not answered is sent four times, and the subject file says twice.",
         asks_again("read_property", 2),
-        "TMO-002.bacnet",
         "TMO-002",
     ),
-    _mutant(
+    defect(
         "MU-33",
         "modbus",
         "A call that was cancelled begins anew.",
         repeated_when_cancelled(_READ, _WRITE),
-        "TMO-003.modbus",
+        "TMO-003",
         "TMO-003 WR-003",
     ),
-    _mutant(
+    defect(
         "MU-33o",
         "opcua",
         "A Write that was cancelled begins anew.",
         repeated_when_cancelled("write_opcua_node"),
-        "TMO-003.opcua",
+        "TMO-003",
         "TMO-003 WR-003",
     ),
-    _mutant(
+    defect(
         "MU-33q",
         "mqtt",
         "A publish that was cancelled begins anew.",
         repeated_when_cancelled("publish_message"),
-        "TMO-003.mqtt",
+        "TMO-003",
         "TMO-003 WR-003",
     ),
-    _mutant(
+    defect(
         "MU-33w",
         "modbus",
         "A write that waits for its turn when it is cancelled is carried out.",
@@ -223,7 +197,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "",
         "TMO-003",
     ),
-    _mutant(
+    defect(
         "MU-33wo",
         "opcua",
         "A Write that waits for its turn when it is cancelled is carried out.",
@@ -231,22 +205,22 @@ MUTANTS: tuple[Mutant, ...] = (
         "",
         "TMO-003",
     ),
-    _mutant(
+    defect(
         "MU-34",
         "modbus",
         "A write whose answer did not come counts as not sent.",
         failing(_WRITE, change=_not_sent),
-        "TMO-004.modbus",
+        "TMO-004",
         "ERR-006 TMO-004",
     ),
-    _mutant(
+    defect(
         "MU-34o",
         "opcua",
         "A Write whose answer did not come counts as not sent.",
         failing("write_opcua_node", change=_not_sent),
-        "TMO-004.opcua",
+        "TMO-004",
         "ERR-006 TMO-004",
     ),
-    _mutant("MU-125", "mqtt", "Connecting again is tried without a pause.", pausing(0.001), "", "TMO-005"),
-    _mutant("MU-125p", "mqtt", "Connecting again is tried every 0.2 s, without end.", pausing(0.2), "", "TMO-005"),
+    defect("MU-125", "mqtt", "Connecting again is tried without a pause.", pausing(0.001), "", "TMO-005"),
+    defect("MU-125p", "mqtt", "Connecting again is tried every 0.2 s, without end.", pausing(0.2), "", "TMO-005"),
 )

@@ -10,73 +10,51 @@ from ...core import AdapterError, AdapterServer, Call
 from ...modbus import link as modbus_link
 from ..any_protocol import enabled_by_any_word, enabled_by_default, guard_after_sending
 from ..bacnet import told_as_asked
+from ..defect import Change, Data, Defect, Handler, around, defect, succeeding, wrap
 from ..modbus import write_not_sent, write_only_remembered
 from ..mqtt import made_up_for
-from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of, succeeding, wrap
 
-__all__ = ["MUTANTS"]
+__all__ = ["DEFECTS"]
 
 _WRITE, _BLOCK, _MASK, _COIL = "write_register", "write_registers", "mask_write_register", "write_coil"
 
 
-def coil_not_sent(server: AdapterServer) -> None:
-    def instead(genuine: Handler) -> Handler:
-        async def write(call: Call, arguments: Any) -> Data:
-            return {"address": arguments.address, "value": arguments.value}
-
-        return write
-
-    each(_COIL, change=instead)(server)
+@around(_COIL)
+async def coil_not_sent(genuine: Handler, call: Call, arguments: Any) -> Data:
+    return {"address": arguments.address, "value": arguments.value}
 
 
-def node_not_written(server: AdapterServer) -> None:
-    def instead(genuine: Handler) -> Handler:
-        async def write(call: Call, arguments: Any) -> Data:
-            return {"node_id": arguments.node_id, "value": arguments.value, "data_type": "Double", "status": "Good"}
-
-        return write
-
-    each("write_opcua_node", change=instead)(server)
+@around("write_opcua_node")
+async def node_not_written(genuine: Handler, call: Call, arguments: Any) -> Data:
+    return {"node_id": arguments.node_id, "value": arguments.value, "data_type": "Double", "status": "Good"}
 
 
-def next_block(server: AdapterServer) -> None:
-    def shifted(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data = await genuine(call, arguments.model_copy(update={"address": arguments.address + 1}))
-            return {**data, "address": arguments.address}
-
-        return handler
-
-    each(_BLOCK, change=shifted)(server)
+@around(_BLOCK)
+async def next_block(genuine: Handler, call: Call, arguments: Any) -> Data:
+    data = await genuine(call, arguments.model_copy(update={"address": arguments.address + 1}))
+    return {**data, "address": arguments.address}
 
 
-def always_unit_1(server: AdapterServer) -> None:
-    def one(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments.model_copy(update={"unit_id": 1}))
-            return data
-
-        return handler
-
-    each(_WRITE, change=one)(server)
+@around(_WRITE)
+async def always_unit_1(genuine: Handler, call: Call, arguments: Any) -> Data:
+    data = await genuine(call, arguments.model_copy(update={"unit_id": 1}))
+    return data
 
 
-def sent_again(*codes: str, names: tuple[str, ...]) -> Bend:
+def sent_again(*codes: str, names: tuple[str, ...]) -> Change:
     """Return the defect that these tools send a write again after a failure with one of these codes."""
 
-    def again(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code not in codes:
-                    raise
-                data = await genuine(call, arguments)
-            return data
+    @around(*names)
+    async def again(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            data = await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code not in codes:
+                raise
+            data = await genuine(call, arguments)
+        return data
 
-        return handler
-
-    return each(*names, change=again)
+    return again
 
 
 def impatient_and_sent_again(server: AdapterServer) -> None:
@@ -84,34 +62,32 @@ def impatient_and_sent_again(server: AdapterServer) -> None:
     link = server._tools[_WRITE].handler.__self__._link
     usual = link._timeout_s
 
-    def again(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            link._timeout_s = 0.1
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "timeout":
-                    raise
-            else:
-                return data
-            finally:
-                link._timeout_s = usual
+    @around(_WRITE)
+    async def again(genuine: Handler, call: Call, arguments: Any) -> Data:
+        link._timeout_s = 0.1
+        try:
             data = await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code != "timeout":
+                raise
+        else:
             return data
+        finally:
+            link._timeout_s = usual
+        data = await genuine(call, arguments)
+        return data
 
-        return handler
-
-    each(_WRITE, change=again)(server)
+    again(server)
 
 
-def unguarded(*names: str) -> Bend:
+def unguarded(*names: str) -> Change:
     """Return the defect that the guard has forgotten these tools."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         for name in () if server.writes_enabled else names:
             wrap(server, name, lambda genuine: genuine, writes=False)
 
-    return bend
+    return apply
 
 
 def denied_after_sending(server: AdapterServer) -> None:
@@ -124,16 +100,14 @@ def split_blocks(server: AdapterServer) -> None:
     tools = server._tools[_BLOCK].handler.__self__
     anything = _without_bounds(server, _BLOCK)
 
-    def parted(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            values = arguments.values
-            for first in range(0, len(values), 100):
-                await tools._write_block(call, arguments, arguments.address + first, values[first : first + 100])
-            return {"address": arguments.address, "count": len(values), "values": values}
+    @around(_BLOCK, model=anything)
+    async def parted(genuine: Handler, call: Call, arguments: Any) -> Data:
+        values = arguments.values
+        for first in range(0, len(values), 100):
+            await tools._write_block(call, arguments, arguments.address + first, values[first : first + 100])
+        return {"address": arguments.address, "count": len(values), "values": values}
 
-        return handler
-
-    wrap(server, _BLOCK, parted, model=anything)
+    parted(server)
 
 
 def _without_bounds(server: AdapterServer, name: str) -> Any:
@@ -145,15 +119,13 @@ def too_long_a_block(server: AdapterServer) -> None:
     """Send the device a block that is longer than a request may be."""
     tools = server._tools[_BLOCK].handler.__self__
 
-    def whole(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            values = arguments.values
-            await tools._write_block(call, arguments, arguments.address, values[:123])
-            return {"address": arguments.address, "count": len(values), "values": values}
+    @around(_BLOCK, model=_without_bounds(server, _BLOCK))
+    async def whole(genuine: Handler, call: Call, arguments: Any) -> Data:
+        values = arguments.values
+        await tools._write_block(call, arguments, arguments.address, values[:123])
+        return {"address": arguments.address, "count": len(values), "values": values}
 
-        return handler
-
-    wrap(server, _BLOCK, whole, model=_without_bounds(server, _BLOCK))
+    whole(server)
 
 
 def any_echo(server: AdapterServer) -> None:
@@ -195,285 +167,216 @@ def written_later(
     def send(call: Call, late: Any) -> None:
         under_way.add(asyncio.ensure_future(tools.write_register(call, late)))
 
-    def keeping(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code in kinds:
-                    kept.append(arguments)
-                raise
-            return data
+    @around(_WRITE)
+    async def keeping(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            data = await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code in kinds:
+                kept.append(arguments)
+            raise
+        return data
 
-        return handler
+    @around("read_multiple_holding_registers")
+    async def making_up(genuine: Handler, call: Call, arguments: Any) -> Data:
+        data = await genuine(call, arguments)
+        while kept:
+            late = kept.pop()
+            late = late if address is None else late.model_copy(update={"address": address})
+            if after_s:
+                asyncio.get_running_loop().call_later(after_s, send, call, late)
+            else:
+                await tools.write_register(call, late)
+        return data
 
-    def making_up(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments)
-            while kept:
-                late = kept.pop()
-                late = late if address is None else late.model_copy(update={"address": address})
-                if after_s:
-                    asyncio.get_running_loop().call_later(after_s, send, call, late)
-                else:
-                    await tools.write_register(call, late)
-            return data
-
-        return handler
-
-    each(_WRITE, change=keeping)(server)
-    each("read_multiple_holding_registers", change=making_up)(server)
+    keeping(server)
+    making_up(server)
 
 
-def unheeded(by: str, count: int) -> Bend:
+def unheeded(by: str, count: int) -> Change:
     """Return the defect that every register that was written is read back by a tool, so many at once, and nobody looks at what that says."""
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         reading = server._tools[by]
 
-        def reading_back(genuine: Handler) -> Handler:
-            async def handler(call: Call, arguments: Any) -> Data:
-                data: Data = await genuine(call, arguments)
-                await reading.handler(call, reading.model(address=arguments.address, count=count))
-                return data
+        @around(_WRITE)
+        async def reading_back(genuine: Handler, call: Call, arguments: Any) -> Data:
+            data = await genuine(call, arguments)
+            await reading.handler(call, reading.model(address=arguments.address, count=count))
+            return data
 
-            return handler
+        reading_back(server)
 
-        each(_WRITE, change=reading_back)(server)
-
-    return bend
+    return apply
 
 
 def emulated_mask_write(server: AdapterServer) -> None:
     tools = server._tools[_MASK].handler.__self__
 
-    def emulated(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            (old,) = await tools._holding(call, arguments, arguments.address, 1)
-            and_mask, or_mask = arguments.and_mask, arguments.or_mask
-            await tools._write_block(
-                call, arguments, arguments.address, [(old & and_mask) | (or_mask & ~and_mask & 0xFFFF)]
-            )
-            return {"address": arguments.address, "and_mask": and_mask, "or_mask": or_mask}
+    @around(_MASK)
+    async def emulated(genuine: Handler, call: Call, arguments: Any) -> Data:
+        (old,) = await tools._holding(call, arguments, arguments.address, 1)
+        and_mask, or_mask = arguments.and_mask, arguments.or_mask
+        await tools._write_block(
+            call, arguments, arguments.address, [(old & and_mask) | (or_mask & ~and_mask & 0xFFFF)]
+        )
+        return {"address": arguments.address, "and_mask": and_mask, "or_mask": or_mask}
 
-        return handler
-
-    each(_MASK, change=emulated)(server)
+    emulated(server)
 
 
-def masks_exchanged(server: AdapterServer) -> None:
-    def exchanged(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            asked = {"and_mask": arguments.and_mask, "or_mask": arguments.or_mask}
-            swapped = {"and_mask": arguments.or_mask, "or_mask": arguments.and_mask}
-            data: Data = await genuine(call, arguments.model_copy(update=swapped))
-            return {**data, **asked}
-
-        return handler
-
-    each(_MASK, change=exchanged)(server)
+@around(_MASK)
+async def masks_exchanged(genuine: Handler, call: Call, arguments: Any) -> Data:
+    asked = {"and_mask": arguments.and_mask, "or_mask": arguments.or_mask}
+    swapped = {"and_mask": arguments.or_mask, "or_mask": arguments.and_mask}
+    data = await genuine(call, arguments.model_copy(update=swapped))
+    return {**data, **asked}
 
 
-def clamping_ignored(server: AdapterServer) -> None:
-    def asked(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            data: Data = await genuine(call, arguments)
-            return {**{name: value for name, value in data.items() if name != "clamped"}, "value": arguments.value}
-
-        return handler
-
-    each("write_opcua_node", change=asked)(server)
+@around("write_opcua_node")
+async def clamping_ignored(genuine: Handler, call: Call, arguments: Any) -> Data:
+    data = await genuine(call, arguments)
+    return {**{name: value for name, value in data.items() if name != "clamped"}, "value": arguments.value}
 
 
-_mutant = mutants_of("wr")
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
+DEFECTS: tuple[Defect, ...] = (
+    defect(
         "MU-02w",
         "modbus",
         "Blocks are written one register further.",
         next_block,
-        "WR-001.modbus WR-002.modbus WR-006.modbus WR-007.modbus WR-008.modbus",
+        "WR-001 WR-002 WR-006 WR-007 WR-008",
         "WR-001 WR-002 WR-006 WR-007",
     ),
-    _mutant(
+    defect(
         "MU-05w",
         "modbus",
         "Whatever unit is asked for, it is unit 1.",
         always_unit_1,
-        "WR-002.modbus WR-006.modbus",
+        "WR-002 WR-006",
         "WR-001 WR-002 WR-006",
     ),
-    _mutant(
+    defect(
         "MU-14w",
         "modbus",
         "A write succeeds, and nothing is sent.",
         write_not_sent,
-        "WR-001.modbus WR-002.modbus WR-003.modbus WR-004.modbus WR-005.modbus WR-006.modbus WR-007.modbus WR-009.modbus WR-010.modbus WR-012.modbus",
+        "WR-001 WR-002 WR-003 WR-004 WR-005 WR-006 WR-007 WR-009 WR-010 WR-012",
         "WR-001 WR-006 WR-007 WR-009",
     ),
-    _mutant(
+    defect(
         "MU-14c",
         "modbus",
         "A coil is told as switched, and nothing is sent.",
         coil_not_sent,
-        "WR-001.modbus WR-002.modbus WR-004.modbus WR-006.modbus WR-009.modbus WR-010.modbus",
+        "WR-001 WR-002 WR-004 WR-006 WR-009 WR-010",
         "WR-001 WR-006 WR-009",
     ),
-    _mutant(
+    defect(
         "MU-14o",
         "opcua",
         "A Write succeeds, and nothing is sent.",
         node_not_written,
-        "WR-001.opcua WR-002.opcua WR-003.opcua WR-004.opcua WR-005.opcua WR-006.opcua WR-007.opcua WR-010.opcua",
+        "WR-001 WR-002 WR-003 WR-004 WR-005 WR-006 WR-007 WR-010",
         "OUA-001 WR-001 WR-006 WR-007 WR-012",
     ),
-    _mutant(
+    defect(
         "MU-15w",
         "modbus",
         "A write succeeds, nothing is sent, and it is read back from memory.",
         write_only_remembered,
-        "WR-001.modbus WR-002.modbus WR-003.modbus WR-004.modbus WR-005.modbus WR-006.modbus WR-007.modbus WR-009.modbus WR-010.modbus WR-012.modbus",
+        "WR-001 WR-002 WR-003 WR-004 WR-005 WR-006 WR-007 WR-009 WR-010 WR-012",
         "WR-001 WR-006 WR-007 WR-009",
     ),
-    _mutant("MU-16", "modbus", "The device confirms anything, and nobody minds.", any_echo, "WR-009.modbus", "WR-009"),
-    _mutant(
+    defect("MU-16", "modbus", "The device confirms anything, and nobody minds.", any_echo, "WR-009"),
+    defect(
         "MU-16v",
         "modbus",
         "The device confirms another value than the one that was written, and nobody minds.",
         any_value_echoed,
-        "WR-009.modbus",
         "WR-009",
     ),
-    _mutant(
-        "MU-17",
-        "opcua",
-        "The server cuts a value off and says so, and nobody is told.",
-        clamping_ignored,
-        "",
-        "WR-012",
+    defect(
+        "MU-17", "opcua", "The server cuts a value off and says so, and nobody is told.", clamping_ignored, "", "WR-012"
     ),
-    _mutant(
-        "MU-18", "modbus", "With writes disabled a mask write is sent.", unguarded(_MASK), "WR-004.modbus", "WR-004"
+    defect("MU-18", "modbus", "With writes disabled a mask write is sent.", unguarded(_MASK), "WR-004"),
+    defect(
+        "MU-18c", "modbus", "With writes disabled coils are switched.", unguarded(_COIL, "write_coils_bulk"), "WR-004"
     ),
-    _mutant(
-        "MU-18c",
-        "modbus",
-        "With writes disabled coils are switched.",
-        unguarded(_COIL, "write_coils_bulk"),
-        "WR-004.modbus",
-        "WR-004",
-    ),
-    _mutant(
-        "MU-18t", "modbus", "With writes disabled a tag is written.", unguarded("write_tag"), "WR-004.modbus", "WR-004"
-    ),
-    _mutant(
-        "MU-19w",
-        "opcua",
-        "With writes disabled a method is called.",
-        unguarded("call_opcua_method"),
-        "WR-004.opcua",
-        "WR-004",
-    ),
-    _mutant(
+    defect("MU-18t", "modbus", "With writes disabled a tag is written.", unguarded("write_tag"), "WR-004"),
+    defect("MU-19w", "opcua", "With writes disabled a method is called.", unguarded("call_opcua_method"), "WR-004"),
+    defect(
         "MU-79w",
         "mqtt",
         "With writes disabled commands to devices are sent.",
         unguarded("publish_device_command"),
-        "WR-004.mqtt",
         "WR-004",
     ),
-    _mutant(
+    defect(
         "MU-20w",
         "modbus",
         "With writes disabled the write is sent, and then denied.",
         denied_after_sending,
-        "WR-004.modbus WR-005.modbus",
         "WR-004 WR-005",
     ),
-    _mutant(
+    defect(
         "MU-21w",
         "modbus",
         "Writes are enabled unless they are switched off.",
         enabled_by_default("MODBUS_WRITES_ENABLED"),
-        "WR-004.modbus WR-005.modbus",
+        "WR-004 WR-005",
         "WR-004",
     ),
-    _mutant(
-        "MU-21c",
-        "modbus",
-        "Any word in the write switch enables writes.",
-        enabled_by_any_word,
-        "WR-005.modbus",
-        "WR-005",
-    ),
-    _mutant(
+    defect("MU-21c", "modbus", "Any word in the write switch enables writes.", enabled_by_any_word, "WR-005"),
+    defect(
         "MU-25",
         "modbus",
         "A write without an answer is sent again.",
         sent_again("timeout", "connection_lost", names=(_WRITE,)),
-        "WR-003.modbus",
         "WR-003",
     ),
-    _mutant(
-        "MU-25l",
-        "modbus",
-        "A write whose answer is late is sent again.",
-        impatient_and_sent_again,
-        "WR-003.modbus",
-        "WR-003",
-    ),
-    _mutant(
+    defect("MU-25l", "modbus", "A write whose answer is late is sent again.", impatient_and_sent_again, "WR-003"),
+    defect(
         "MU-25o",
         "opcua",
         "A Write without an answer is sent again.",
         sent_again("timeout", "connection_lost", names=("write_opcua_node",)),
-        "WR-003.opcua",
         "WR-003",
     ),
-    _mutant(
+    defect(
         "MU-25q",
         "mqtt",
         "A publish without an acknowledgement is sent again as a new message.",
         sent_again("timeout", "connection_lost", names=("publish_message",)),
-        "WR-003.mqtt",
         "WR-003",
     ),
-    _mutant("MU-27", "modbus", "A long block is written in parts.", split_blocks, "WR-008.modbus", "ERR-006 WR-008"),
-    _mutant(
+    defect("MU-27", "modbus", "A long block is written in parts.", split_blocks, "WR-008", "ERR-006 WR-008"),
+    defect(
         "MU-27c",
         "modbus",
         "Of a block that is too long a part is written.",
         too_long_a_block,
-        "WR-008.modbus",
+        "WR-008",
         "ERR-006 WR-008",
     ),
-    _mutant(
+    defect(
         "MU-28x",
         "modbus",
         "Of a mask write the two masks are exchanged, and told as asked for.",
         masks_exchanged,
-        "WR-001.modbus WR-002.modbus WR-011.modbus",
+        "WR-001 WR-002 WR-011",
         "WR-001 WR-011",
     ),
-    _mutant("MU-28", "modbus", "A mask write is a read and a write.", emulated_mask_write, "WR-011.modbus", "WR-011"),
-    _mutant(
+    defect("MU-28", "modbus", "A mask write is a read and a write.", emulated_mask_write, "WR-011"),
+    defect(
         "MU-29m",
         "modbus",
         "A register write that failed is made up for after the outage.",
         written_later,
-        "WR-003.modbus WR-010.modbus",
         "WR-003 WR-010",
     ),
-    _mutant(
-        "MU-29q",
-        "mqtt",
-        "A publish that failed is made up for after the outage.",
-        made_up_for,
-        "WR-003.mqtt WR-010.mqtt",
-        "WR-003 WR-010",
-    ),
-    _mutant(
+    defect("MU-29q", "mqtt", "A publish that failed is made up for after the outage.", made_up_for, "WR-003 WR-010"),
+    defect(
         "MU-17m",
         "modbus",
         "A register is read back after a write, and nobody looks at it.",
@@ -481,7 +384,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "",
         "WR-012",
     ),
-    _mutant(
+    defect(
         "MU-17mb",
         "modbus",
         "A block is read back after a write of its first register, and nobody looks at it.",
@@ -489,7 +392,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "",
         "WR-012",
     ),
-    _mutant(
+    defect(
         "MU-17bac",
         "bacnet",
         "A property that is read back after a write, and holds something else, is told as written.",
@@ -497,28 +400,25 @@ MUTANTS: tuple[Mutant, ...] = (
         "",
         "WR-012",
     ),
-    _mutant(
+    defect(
         "MU-29ml",
         "modbus",
         "A register write that failed is carried out at another register, two seconds after the outage.",
         partial(written_later, address=60, after_s=2.0, kinds=("connect_failed",)),
-        "WR-010.modbus",
         "WR-010",
     ),
-    _mutant(
+    defect(
         "MU-29qt",
         "mqtt",
         "A publish that failed is published on another topic after the outage.",
         partial(made_up_for, topic="line/late"),
-        "WR-010.mqtt",
         "WR-010",
     ),
-    _mutant(
+    defect(
         "MU-29ql",
         "mqtt",
         "A publish that failed is published on another topic, two seconds after the outage.",
         partial(made_up_for, topic="line/late", after_s=2.0),
-        "WR-010.mqtt",
         "WR-010",
     ),
 )

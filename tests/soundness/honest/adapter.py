@@ -16,7 +16,7 @@ def main() -> None:
 
     choice = ZOO[sys.argv[1]]
     server = import_module(f"pytest_otmcp.reference_adapters.{choice.protocol}").build()
-    choice.bend(server)
+    choice.change(server)
     sys.exit(serve(server))
 
 

@@ -25,8 +25,8 @@ from pytest_otmcp.reference_adapters.bacnet.refusals import refusal
 from pytest_otmcp.reference_adapters.bacnet.shapes import PropertyOf
 from pytest_otmcp.reference_adapters.bacnet.tools import Tools, _shown, _trace
 from pytest_otmcp.reference_adapters.bacnet.values import Read, known_property, object_type, primitives
-from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, Lost
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 
 from .choice import (
     background_call,
@@ -298,11 +298,9 @@ def repeats_with_its_invoke_id(server: AdapterServer) -> None:
         client.asap.device_object.numberOfApduRetries = 2
         client.asap.device_object.apduTimeout = 1000
 
-    async def exchange(
-        call: Call, device: int | None, make: Any, patience_s: Sequence[float], *, changes_state: bool
-    ) -> Any:
+    async def exchange(call: Call, *arguments: Any, **more: Any) -> Any:
         try:
-            return await genuine(call, device, make, [sum(patience_s)], changes_state=changes_state)
+            return await genuine(call, *arguments, **more)
         finally:
             # Nothing is repeated for a call that has ended.
             client, _ = await link._opened()
@@ -310,7 +308,14 @@ def repeats_with_its_invoke_id(server: AdapterServer) -> None:
                 if transaction.invokeID in call.trace.get("invoke_ids", ()):
                     transaction.set_state(ABORTED)
 
+    async def only_one(call: Call, attempt: Any) -> Any:
+        try:
+            return await attempt()
+        except Lost as lost:
+            raise lost.error from None
+
     link._exchange = exchange
+    bacnet_link.repeat_once, bacnet_link._TRANSMISSIONS = only_one, 1
     when_opened(server, repeating)
 
 

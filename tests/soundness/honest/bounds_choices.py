@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer
 from pytest_otmcp.reference_adapters.core import bounds as core_bounds
 from pytest_otmcp.reference_adapters.core.bounds import Bounds
-from pytest_otmcp.reference_adapters.defects.mutant import failing
+from pytest_otmcp.reference_adapters.defects.defect import failing
 
 from pytest_otmcp.protocols.bounds import Bounds as Told
 

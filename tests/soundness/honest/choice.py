@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Change, Handler, wrap
 
 if TYPE_CHECKING:
     from pytest_otmcp.subject import Adapter
 
 __all__ = [
-    "Bend",
+    "Change",
     "Choice",
     "again_after_silence",
     "backed_off",
@@ -31,8 +31,7 @@ __all__ = [
     "twice_where_missing",
 ]
 
-Bend = Callable[[AdapterServer], None]
-Declare = Callable[[Bend], Bend]
+Declare = Callable[[Change], Change]
 
 
 def _as_it_is(adapter: Adapter) -> Adapter:
@@ -47,7 +46,7 @@ class Choice:
         protocol: the reference adapter that is bent.
         sentence: what is different.
         rule: why it is legal.
-        bend: makes the adapter so.
+        change: makes the adapter so.
         warnings: the SHOULD findings that are due: requirement and code.
         checked_warnings: those that are due in the requirement suite alone.
         described: what the subject file has to say of it, as a change of the adapter's description.
@@ -56,7 +55,7 @@ class Choice:
     protocol: str
     sentence: str
     rule: str
-    bend: Bend
+    change: Change
     warnings: frozenset[tuple[str, str]]
     described: Callable[[Adapter], Adapter]
     checked_warnings: frozenset[tuple[str, str]] = frozenset()
@@ -74,17 +73,17 @@ def choices(protocol: str) -> tuple[dict[str, Choice], Callable[..., Declare]]:
         checked_warnings: tuple[tuple[str, str], ...] = (),
         described: Callable[[Adapter], Adapter] = _as_it_is,
     ) -> Declare:
-        def declare(bend: Bend) -> Bend:
-            declared[bend.__name__.replace("_", "-")] = Choice(
+        def declare(change: Change) -> Change:
+            declared[change.__name__.replace("_", "-")] = Choice(
                 protocol=protocol,
                 sentence=sentence,
                 rule=rule,
-                bend=bend,
+                change=change,
                 warnings=frozenset(warnings),
                 checked_warnings=frozenset(checked_warnings),
                 described=described,
             )
-            return bend
+            return change
 
         return declare
 

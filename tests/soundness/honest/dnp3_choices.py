@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.dnp3 import tools as dnp3_tools
 from pytest_otmcp.reference_adapters.dnp3.connection import Connection, Response
 from pytest_otmcp.reference_adapters.dnp3.conversions import exactly, shown
@@ -94,23 +94,18 @@ def backs_off_for_1500_ms(server: AdapterServer) -> None:
     link._connected = backed_off(link._connected, 1.5)
 
 
-def after_connecting(server: AdapterServer, housekeeping: Callable[[Call], Any]) -> None:
+def after_connecting(server: AdapterServer, housekeeping: Callable[[Connection, Call], Any]) -> None:
     """Do this on every new connection, as a call of its own that is before the one which made it."""
     link = tools_of(server)._link
     genuine, done = link._step, [0]
 
-    async def step(call: Call, *arguments: Any) -> Response:
-        own = background_call(server)
-        await link._connected(own)
+    async def step(connection: Connection, call: Call, *arguments: Any) -> Response:
         if done[0] != link._generation:
             done[0] = link._generation
-            made = own._used
-            await housekeeping(own)
+            own = background_call(server)
+            await housekeeping(connection, own)
             call.attempts += own.attempts
-            response = await genuine(call, *arguments)
-            call._used = made
-            return response
-        return await genuine(call, *arguments)
+        return await genuine(connection, call, *arguments)
 
     link._step = step
 
@@ -121,7 +116,7 @@ def after_connecting(server: AdapterServer, housekeeping: Callable[[Call], Any])
 )
 def enables_unsolicited(server: AdapterServer) -> None:
     link = tools_of(server)._link
-    after_connecting(server, lambda call: link._send(call, OUTSTATION, _ENABLE_UNSOLICITED, _CLASSES, False))
+    after_connecting(server, lambda *used: link._send(*used, OUTSTATION, _ENABLE_UNSOLICITED, _CLASSES, False))
 
 
 @choice(
@@ -130,7 +125,7 @@ def enables_unsolicited(server: AdapterServer) -> None:
 )
 def disables_unsolicited(server: AdapterServer) -> None:
     link = tools_of(server)._link
-    after_connecting(server, lambda call: link._send(call, OUTSTATION, _DISABLE_UNSOLICITED, _CLASSES, False))
+    after_connecting(server, lambda *used: link._send(*used, OUTSTATION, _DISABLE_UNSOLICITED, _CLASSES, False))
 
 
 @choice(
@@ -140,10 +135,10 @@ def disables_unsolicited(server: AdapterServer) -> None:
 def sets_the_clock(server: AdapterServer) -> None:
     link = tools_of(server)._link
 
-    async def synchronized(call: Call) -> None:
+    async def synchronized(*used: Any) -> None:
         now = int(time.time() * 1000).to_bytes(6, "little")
-        await link._send(call, OUTSTATION, _RECORD_CURRENT_TIME, b"", False)
-        await link._send(call, OUTSTATION, _WRITE, bytes([50, 3, 7, 1]) + now, False)
+        await link._send(*used, OUTSTATION, _RECORD_CURRENT_TIME, b"", False)
+        await link._send(*used, OUTSTATION, _WRITE, bytes([50, 3, 7, 1]) + now, False)
 
     after_connecting(server, synchronized)
 
@@ -330,9 +325,9 @@ def repeats_with_its_sequence(server: AdapterServer) -> None:
     link = tools_of(server)._link
     send, calls = link._send, list[Call]()
 
-    async def sending(call: Call, *arguments: Any, **more: Any) -> Response:
+    async def sending(connection: Connection, call: Call, *arguments: Any, **more: Any) -> Response:
         calls[:] = [call]
-        return await send(call, *arguments, **more)
+        return await send(connection, call, *arguments, **more)
 
     async def ask(self: Connection, *arguments: Any) -> Response:
         *request, timeout_s = arguments

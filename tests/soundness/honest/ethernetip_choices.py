@@ -9,7 +9,7 @@ import struct
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.ethernetip import link as ethernetip_link
 from pytest_otmcp.reference_adapters.ethernetip import tools as ethernetip_tools
 from pytest_otmcp.reference_adapters.ethernetip.connection import SEND_RR_DATA, Connection, next_frame
@@ -56,7 +56,7 @@ def tools_of(server: AdapterServer) -> Tools:
 def without_connections(server: AdapterServer, slot: int | None) -> None:
     """Let the adapter send its requests outside of CIP connections, to the controller in this slot or to the device itself."""
     link = tools_of(server)._link
-    attempt = link._attempt
+    sent = link._sent
 
     async def opened(connection: Connection) -> None:
         connection.size = 504
@@ -74,16 +74,16 @@ def without_connections(server: AdapterServer, slot: int | None) -> None:
         await connection.writer.drain()
         return unconnected_message((await next_frame(connection, SEND_RR_DATA))[1])
 
-    async def one(call: Call, *arguments: Any) -> Reply:
+    async def one(connection: Connection, call: Call, *arguments: Any) -> Reply:
         try:
-            return await attempt(call, *arguments)
+            return await sent(connection, call, *arguments)
         finally:
             call.trace.pop("sequences", None)
 
     async def close() -> None:
-        link._drop()
+        link._drop(link._connection)
 
-    link._open, link._attempt = opened, one
+    link._forward_open, link._sent = opened, one
     link._frames._build_eip_header = frame
     ethernetip_link.answer = answer
     server._close = close

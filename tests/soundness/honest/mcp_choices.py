@@ -20,7 +20,7 @@ from mcp.types import METHOD_NOT_FOUND, PARSE_ERROR, Tool, ToolAnnotations
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, stdio
 from pytest_otmcp.reference_adapters.core import call as core_call
 from pytest_otmcp.reference_adapters.core import server as core_server
-from pytest_otmcp.reference_adapters.defects.mutant import Handler
+from pytest_otmcp.reference_adapters.defects.defect import Handler
 from pytest_otmcp.reference_adapters.modbus.shapes import Unit
 
 from .choice import choices, every_tool

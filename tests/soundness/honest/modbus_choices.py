@@ -8,13 +8,13 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.modbus.link import Link
 from pytest_otmcp.reference_adapters.modbus.shapes import Registers, Unit
 from pytest_otmcp.reference_adapters.modbus.tools import Tools
 
 from .choice import (
-    Bend,
+    Change,
     again_after_silence,
     backed_off,
     background_call,
@@ -121,8 +121,8 @@ def asks_twice_for_a_missing_register(server: AdapterServer) -> None:
         wrap(server, name, twice_where_missing)
 
 
-def polling(table: str, address: int, count: int) -> Bend:
-    def bend(server: AdapterServer) -> None:
+def polling(table: str, address: int, count: int) -> Change:
+    def apply(server: AdapterServer) -> None:
         read: Read = getattr(tools_of(server), table)
 
         async def poll() -> None:
@@ -131,7 +131,7 @@ def polling(table: str, address: int, count: int) -> Bend:
 
         in_background(server, poll)
 
-    return bend
+    return apply
 
 
 @choice(
@@ -150,7 +150,7 @@ def polls_other_registers(server: AdapterServer) -> None:
 # -- refusing ---------------------------------------------------------------------------------------------------------
 
 
-def with_register_map(code: str, outcome: str) -> Bend:
+def with_register_map(code: str, outcome: str) -> Change:
     def known(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
             if arguments.address >= REGISTERS:
@@ -160,11 +160,11 @@ def with_register_map(code: str, outcome: str) -> Bend:
 
         return handler
 
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         for name in ("read_register", "read_multiple_holding_registers", "read_input_registers", "write_register"):
             wrap(server, name, known)
 
-    return bend
+    return apply
 
 
 @choice(
@@ -242,7 +242,7 @@ def connection_per_request(server: AdapterServer) -> None:
             try:
                 return await genuine(*arguments)
             finally:
-                link._drop()
+                link._drop(link._connection)
 
     link.exchange = exchange
 
@@ -263,12 +263,12 @@ def connection_for_writing(server: AdapterServer) -> None:
     server._close = close_both
 
 
-def pause_after_failure(seconds: float) -> Bend:
-    def bend(server: AdapterServer) -> None:
+def pause_after_failure(seconds: float) -> Change:
+    def apply(server: AdapterServer) -> None:
         link = tools_of(server)._link
         link._connected = backed_off(link._connected, seconds)
 
-    return bend
+    return apply
 
 
 @choice(

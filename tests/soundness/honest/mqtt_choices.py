@@ -17,14 +17,14 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import paho.mqtt.client as paho
-from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, Lost
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.defects.host_application import beside
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.mqtt import connection as connections
 from pytest_otmcp.reference_adapters.mqtt import edge_node as edge_nodes
 from pytest_otmcp.reference_adapters.mqtt import payload as sparkplug
 from pytest_otmcp.reference_adapters.mqtt import tools as tools_module
-from pytest_otmcp.reference_adapters.mqtt.connection import Connection, ConnectionLostError, Message
+from pytest_otmcp.reference_adapters.mqtt.connection import Connection, Message
 from pytest_otmcp.reference_adapters.mqtt.edge_node import EdgeNode, Life
 from pytest_otmcp.reference_adapters.mqtt.link import Link
 from pytest_otmcp.reference_adapters.mqtt.payload import Metric
@@ -34,7 +34,7 @@ from pytest_otmcp.reference_adapters.mqtt.topics import check_name
 
 from pytest_otmcp.wire.mqtt.sparkplug import payload_class
 
-from .choice import Bend, backed_off, choices, in_background, narrowed
+from .choice import Change, backed_off, choices, in_background, narrowed
 
 if TYPE_CHECKING:
     from pytest_otmcp.subject import Adapter
@@ -65,19 +65,19 @@ def background_call(server: AdapterServer) -> Call:
 # -- what it publishes of itself --------------------------------------------------------------------------------------
 
 
-def telling(seconds: float) -> Bend:
-    def bend(server: AdapterServer) -> None:
+def telling(seconds: float) -> Change:
+    def apply(server: AdapterServer) -> None:
         link = link_of(server)
 
         async def tell() -> None:
             await asyncio.sleep(seconds)
             if link.connected:
-                with suppress(ConnectionLostError):
+                with suppress(Lost):
                     link._connection.send(Message(topic=OWN_TOPIC, payload=b'{"alive": true}'))
 
         in_background(server, tell)
 
-    return bend
+    return apply
 
 
 @choice("tells of itself on a topic of its own ten times a second", "it commands nothing")
@@ -102,7 +102,7 @@ def after_connecting(link: Link, then: Callable[[Connection], None]) -> None:
 
 
 def say_online(connection: Connection) -> None:
-    with suppress(ConnectionLostError):
+    with suppress(Lost):
         connection.send(Message(topic=OWN_TOPIC, payload=b"online", retain=True))
 
 
@@ -145,7 +145,7 @@ def node_data_of_its_own(server: AdapterServer) -> None:
         await asyncio.sleep(0.1)
         async with link.publishing:
             if link.connected and node.alive:
-                with suppress(ConnectionLostError):
+                with suppress(Lost):
                     link._connection.send(node.numbered("NDATA", None, [UPTIME]))
 
     def declaring_uptime(genuine: Handler) -> Handler:
@@ -366,7 +366,7 @@ async def ping(connection: Connection) -> None:
     lost.cancel()
     if answered not in done:
         connection.abort()
-        raise ConnectionLostError
+        raise Lost
 
 
 @choice("asks for the broker's state by PINGREQ", "any answer of the broker is one")

@@ -11,7 +11,7 @@ from typing import Any
 
 from asyncua import ua
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.opcua.link import Link, Session
 from pytest_otmcp.reference_adapters.opcua.services import Services
 
@@ -217,7 +217,7 @@ def asks_twice_for_a_missing_node(server: AdapterServer) -> None:
 
 
 def polling(nodes: list[ua.NodeId], seconds: float) -> Callable[[AdapterServer], None]:
-    def bend(server: AdapterServer) -> None:
+    def apply(server: AdapterServer) -> None:
         link = link_of(server)
 
         async def poll() -> None:
@@ -227,7 +227,7 @@ def polling(nodes: list[ua.NodeId], seconds: float) -> Callable[[AdapterServer],
 
         in_background(server, poll)
 
-    return bend
+    return apply
 
 
 @choice("polls the sensors that the tasks read, fifty times a second", "nobody forbids polling")
@@ -323,9 +323,7 @@ def session_per_call(server: AdapterServer) -> None:
             try:
                 return await genuine(call, work)
             finally:
-                session: Session | None = link._session
-                if session is not None:
-                    link._drop(session)
+                link._drop(link._connection)
 
     link.perform = perform
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.profibus.master import Master, _watchdog_factors
 from pytest_otmcp.reference_adapters.profibus.shapes import InputsOf, WriteOutputs
 from pytest_otmcp.reference_adapters.profibus.telegram import Telegram

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.s7 import link as s7_link
 from pytest_otmcp.reference_adapters.s7 import tools as s7_tools
 from pytest_otmcp.reference_adapters.s7.codec import decode
@@ -216,7 +216,7 @@ def hangs_up_when_idle(server: AdapterServer) -> None:
 
     def hang_up() -> None:
         if not at_work:
-            link._drop()
+            link._drop(link._connection)
 
     def timed(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:

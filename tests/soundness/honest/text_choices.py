@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, device_text
 from pytest_otmcp.reference_adapters.core import server as core_server
-from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.modbus import tools as modbus_tools
 from pytest_otmcp.reference_adapters.mqtt import tools as mqtt_tools
 from pytest_otmcp.reference_adapters.opcua import tools as opcua_tools

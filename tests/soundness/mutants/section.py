@@ -5,9 +5,9 @@ A test compares it with the declarations.
 
 from __future__ import annotations
 
-from pytest_otmcp.reference_adapters.defects.mutant import catalogue_id, number
+from pytest_otmcp.reference_adapters.defects.defect import catalogue_id, number
 from pytest_otmcp.reference_adapters.defects.not_yet import GROUPS, NOT_YET, TOTAL
-from pytest_otmcp.reference_adapters.defects.table import MUTANTS
+from pytest_otmcp.reference_adapters.defects.table import DEFECTS
 
 from tests.soundness.document import DOCUMENT, with_section
 
@@ -16,17 +16,17 @@ __all__ = ["section"]
 
 def section() -> str:
     """Return the tables of the defects that are noticed and of those that are not."""
-    noticed = {mutant.catalogue_id for mutant in MUTANTS.values()}
+    noticed = {defect.catalogue_id for defect in DEFECTS.values()}
     missing = {catalogue_id(identifier) for group in NOT_YET.values() for identifier in group}
-    warned = [one.id for one in MUTANTS.values() if not one.items]
+    warned = [one.id for one in DEFECTS.values() if not one.items]
     lines = [
-        f"**Noticed: {len(noticed)} of {TOTAL} defects**, at {len(MUTANTS)} adapters; {len(warned)} of these break what the catalogue only "
+        f"**Noticed: {len(noticed)} of {TOTAL} defects**, at {len(DEFECTS)} adapters; {len(warned)} of these break what the catalogue only "
         f"recommends: they cost a warning and fail no item ({' '.join(warned)}). Of {len(noticed & missing)} defects another variant is "
         "not noticed yet.",
         "",
         "| defect | what the adapter does | items that fail | requirements cited |",
         "|---|---|---|---|",
-        *(f"| {one.id} | {one.sentence} | {one.items} | {one.requirements} |" for one in MUTANTS.values()),
+        *(f"| {one.id} | {one.sentence} | {one.items} | {one.requirements} |" for one in DEFECTS.values()),
         "",
         "Not noticed yet:",
         "",

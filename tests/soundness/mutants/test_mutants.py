@@ -7,10 +7,10 @@ import sys
 from dataclasses import replace
 
 import pytest
+from pytest_otmcp.reference_adapters.defects.defect import Defect, catalogue_id
 from pytest_otmcp.reference_adapters.defects.listing import listing
-from pytest_otmcp.reference_adapters.defects.mutant import Mutant, catalogue_id
 from pytest_otmcp.reference_adapters.defects.not_yet import GROUPS, NOT_YET, TOTAL
-from pytest_otmcp.reference_adapters.defects.table import MUTANTS, PROTOCOLS, REPRESENTATIVE
+from pytest_otmcp.reference_adapters.defects.table import DEFECTS, PROTOCOLS, REPRESENTATIVE
 
 from pytest_otmcp.soundness.defect import read
 from pytest_otmcp.soundness.judging import IMPATIENT, tasks_of
@@ -19,24 +19,24 @@ from tests.soundness.document import DOCUMENT, with_section
 
 from .section import section
 
-DEFECTS = {defect.id: defect for defect in read(listing()).defects}
+LISTED = {defect.id: defect for defect in read(listing()).defects}
 
 WHOLE_MATRIX = "OTMCP_WHOLE_MATRIX" in os.environ
 VARIANTS = "OTMCP_WHOLE_MATRIX=1 runs every variant of a defect"
 
 
-def marks(mutant: Mutant) -> list[pytest.MarkDecorator]:
+def marks(defect: Defect) -> list[pytest.MarkDecorator]:
     """Return what decides when a defect is run."""
-    if mutant.quick:
+    if defect.quick:
         return []
-    if mutant.id in REPRESENTATIVE or WHOLE_MATRIX:
+    if defect.id in REPRESENTATIVE or WHOLE_MATRIX:
         return [pytest.mark.long]
     return [pytest.mark.long, pytest.mark.skip(VARIANTS)]
 
 
-@pytest.mark.parametrize("name", [pytest.param(mutant.id, marks=marks(mutant)) for mutant in MUTANTS.values()])
+@pytest.mark.parametrize("name", [pytest.param(defect.id, marks=marks(defect)) for defect in DEFECTS.values()])
 def test_a_defect_fails_exactly_its_items_for_exactly_its_requirements(judge: Judge, name: str) -> None:
-    defect = DEFECTS[name]
+    defect = LISTED[name]
     tasks = " ".join(task.id for task in tasks_of(defect))
     time_scale = IMPATIENT if defect.waits else 1.0
     command = (sys.executable, *DEFECT, name) if defect.cold else None
@@ -48,8 +48,8 @@ def test_a_defect_fails_exactly_its_items_for_exactly_its_requirements(judge: Ju
     assert "KIT_ERROR" not in {result["status"] for result in results.values()}
 
 
-ANYWHERE = [mutant for mutant in MUTANTS.values() if mutant.anywhere]
-AT_OTHERS = [(mutant.id, protocol) for mutant in ANYWHERE for protocol in sorted(PROTOCOLS - {mutant.protocol})]
+ANYWHERE = [defect for defect in DEFECTS.values() if defect.anywhere]
+AT_OTHERS = [(defect.id, protocol) for defect in ANYWHERE for protocol in sorted(PROTOCOLS - {defect.protocol})]
 """Defects that any adapter may have, each at every other protocol."""
 
 
@@ -64,16 +64,16 @@ AT_OTHERS = [(mutant.id, protocol) for mutant in ANYWHERE for protocol in sorted
 def test_a_defect_that_any_adapter_may_have_is_noticed_at_every_protocol(
     judge: Judge, name: str, protocol: str
 ) -> None:
-    alone = [task for task in tasks_of(replace(DEFECTS[name], protocol=protocol)) if task.adapters == (protocol,)]
+    alone = [task for task in tasks_of(replace(LISTED[name], protocol=protocol)) if task.adapters == (protocol,)]
     tasks = " ".join(next(task.id for task in alone if task.suite == suite) for suite in ("normal", "fault"))
     results = judge(protocol, *DEFECT, name, protocol, tasks=tasks)
     assert failing(results), "not noticed"
-    assert requirements(results) <= set(DEFECTS[name].requirements), words(results)
+    assert requirements(results) <= set(LISTED[name].requirements), words(results)
 
 
 def test_every_defect_of_the_catalogue_is_noticed_or_listed_with_its_group() -> None:
     unnoticed = [identifier for defects in NOT_YET.values() for identifier in defects]
-    known = [*MUTANTS, *unnoticed]
+    known = [*DEFECTS, *unnoticed]
     assert len(known) == len(set(known))
     assert {catalogue_id(identifier) for identifier in known} == {f"MU-{number:02}" for number in range(1, TOTAL + 1)}
     assert NOT_YET.keys() == GROUPS.keys()

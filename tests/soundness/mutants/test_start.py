@@ -7,7 +7,7 @@ import sys
 
 import pytest
 from pytest_otmcp.reference_adapters.defects import __main__ as program
-from pytest_otmcp.reference_adapters.defects.table import MUTANTS
+from pytest_otmcp.reference_adapters.defects.table import DEFECTS
 from pytest_otmcp.reference_adapters.modbus import build
 
 
@@ -32,7 +32,7 @@ def test_a_defective_adapter_has_to_be_asked_for_by_its_id(
 
 def test_a_defective_adapter_introduces_itself_as_one(capsys: pytest.CaptureFixture[str]) -> None:
     server = build()
-    program.introduce(server, MUTANTS["MU-13"])
+    program.introduce(server, DEFECTS["MU-13"])
     assert server.mcp.create_initialization_options().server_name == "modbus-reference with defect MU-13"
     assert "modbus-reference with defect MU-13" in str(server._completion["_meta"])
     assert "for the kit's mock devices only" in capsys.readouterr().err
