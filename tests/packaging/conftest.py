@@ -22,6 +22,8 @@ FOLDERS = {
     "reference_adapters": "pytest_otmcp/reference_adapters",
 }
 """Folder of the checkout to folder of the wheel."""
+SCHEMAS = ("pytest_otmcp/record/run.schema.json", "pytest_otmcp/subject/subject.schema.json")
+"""Files of the wheel that the build makes."""
 
 _BUILD = """
 import sys
@@ -45,7 +47,8 @@ def _build(directory: Path) -> str:
     _quietly(sys.executable, "-m", "pip", "install", "--quiet", "--target", tools, "setuptools>=77", cwd=directory)
     env = {**os.environ, "PYTHONPATH": str(tools)}
     source = directory / "source"
-    clutter = shutil.ignore_patterns("__pycache__", "*.pyc", "*.egg-info", "node_modules", "pki")
+    built = [Path(name).name for name in SCHEMAS]
+    clutter = shutil.ignore_patterns("__pycache__", "*.pyc", "*.egg-info", "node_modules", "pki", *built)
     for folder in FOLDERS:
         shutil.copytree(CHECKOUT / folder, source / folder, ignore=clutter)
     shutil.copytree(CHECKOUT / "docs", source / "docs", ignore=clutter)

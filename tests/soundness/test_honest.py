@@ -11,8 +11,6 @@ from pytest_otmcp.core.matrix import REQUIREMENTS
 from pytest_otmcp.suite.catalogue import all_tasks
 
 from .conftest import Judge, Results, failing, passing, words
-from .document import DOCUMENT, with_section
-from .honest.table import section
 from .honest.zoo import ZOO
 
 QUICK = {
@@ -177,8 +175,3 @@ def test_an_adapter_that_is_close_to_what_a_check_forbids_passes_it(judge: Judge
     results = judge(choice.protocol, "honest/adapter.py", name, described=choice.described, tasks=checks)
     assert passing(results) == set(checks.split()), words(results)
     assert set(warnings(results)) == choice.warnings, words(results)
-
-
-def test_the_documentation_has_every_honest_adapter() -> None:
-    current = with_section("honest", section())
-    assert DOCUMENT.read_text(encoding="utf-8") == current, "out of date: python -m tests.soundness.honest.table"

@@ -15,9 +15,6 @@ from pytest_otmcp.reference_adapters.defects.table import MUTANTS, PROTOCOLS, RE
 from pytest_otmcp.soundness.defect import read
 from pytest_otmcp.soundness.judging import IMPATIENT, tasks_of
 from tests.soundness.conftest import DEFECT, Judge, failing, requirements, words
-from tests.soundness.document import DOCUMENT, with_section
-
-from .section import section
 
 DEFECTS = {defect.id: defect for defect in read(listing()).defects}
 
@@ -77,7 +74,3 @@ def test_every_defect_of_the_catalogue_is_noticed_or_listed_with_its_group() -> 
     assert len(known) == len(set(known))
     assert {catalogue_id(identifier) for identifier in known} == {f"MU-{number:02}" for number in range(1, TOTAL + 1)}
     assert NOT_YET.keys() == GROUPS.keys()
-
-
-def test_the_table_in_the_documentation_is_the_one_of_the_declarations() -> None:
-    assert with_section("defects", section()) == DOCUMENT.read_text(encoding="utf-8")
