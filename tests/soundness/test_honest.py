@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 
 import pytest
@@ -62,10 +61,6 @@ NEIGHBOURS = [
 ]
 """Honest adapters, each with the check that it is made for."""
 
-WHOLE_ZOO = "OTMCP_WHOLE_ZOO" in os.environ
-WHY_NOT = "OTMCP_WHOLE_ZOO=1 runs the requirement suite over every honest adapter"
-WHY_NOT_THIS = "OTMCP_WHOLE_ZOO=1 runs the benchmark over every honest adapter, otherwise a twelfth of them is run"
-
 
 def warnings(results: Results) -> Iterator[tuple[str | None, str]]:
     for result in results.values():
@@ -114,7 +109,8 @@ def test_an_honest_adapter_with_commands_of_another_form_is_accused_of_nothing(j
     [
         pytest.param(
             name,
-            marks=() if name in CLOSEST or not number % 12 else pytest.mark.skipif(not WHOLE_ZOO, reason=WHY_NOT_THIS),
+            # A twelfth of them, and those that are closest to what the suite forbids, run with the long tests.
+            marks=() if name in CLOSEST or not number % 12 else pytest.mark.weekly,
         )
         for number, name in enumerate(ZOO)
     ],
@@ -126,11 +122,8 @@ def test_an_honest_adapter_is_accused_of_nothing_in_the_whole_suite(judge: Judge
 @pytest.mark.long
 @pytest.mark.parametrize(
     "name",
-    # A minute each, so most of them run when they are asked for.
-    [
-        pytest.param(name, marks=() if name in CHECKED else pytest.mark.skipif(not WHOLE_ZOO, reason=WHY_NOT))
-        for name in ZOO
-    ],
+    # A minute each.
+    [pytest.param(name, marks=() if name in CHECKED else pytest.mark.weekly) for name in ZOO],
 )
 def test_an_honest_adapter_is_accused_of_nothing_in_the_requirement_suite(judge: Judge, name: str) -> None:
     choice = ZOO[name]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import replace
 
@@ -18,17 +17,13 @@ from tests.soundness.conftest import DEFECT, Judge, failing, requirements, words
 
 DEFECTS = {defect.id: defect for defect in read(listing()).defects}
 
-WHOLE_MATRIX = "OTMCP_WHOLE_MATRIX" in os.environ
-VARIANTS = "OTMCP_WHOLE_MATRIX=1 runs every variant of a defect"
-
 
 def marks(mutant: Mutant) -> list[pytest.MarkDecorator]:
     """Return what decides when a defect is run."""
     if mutant.quick:
         return []
-    if mutant.id in REPRESENTATIVE or WHOLE_MATRIX:
-        return [pytest.mark.long]
-    return [pytest.mark.long, pytest.mark.skip(VARIANTS)]
+    # The variants of a defect are many.
+    return [pytest.mark.long, *([] if mutant.id in REPRESENTATIVE else [pytest.mark.weekly])]
 
 
 @pytest.mark.parametrize("name", [pytest.param(mutant.id, marks=marks(mutant)) for mutant in MUTANTS.values()])
@@ -53,10 +48,7 @@ AT_OTHERS = [(mutant.id, protocol) for mutant in ANYWHERE for protocol in sorted
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "protocol"),
-    [
-        pytest.param(*pair, marks=[] if WHOLE_MATRIX or not number % 3 else [pytest.mark.skip(VARIANTS)])
-        for number, pair in enumerate(AT_OTHERS)
-    ],
+    [pytest.param(*pair, marks=[pytest.mark.weekly] if number % 3 else []) for number, pair in enumerate(AT_OTHERS)],
 )
 def test_a_defect_that_any_adapter_may_have_is_noticed_at_every_protocol(
     judge: Judge, name: str, protocol: str
