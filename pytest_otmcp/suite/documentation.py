@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -89,13 +90,13 @@ def write(directory: Path) -> int:
     if not _may_be_written(directory):
         raise UsageError(f"{directory}: has other files; name a new or empty directory")
     names = {*_files(), *_built()} - {_TABLE}
-    for name in sorted(names):
-        data = content(name)
-        if name.endswith(".md"):
-            data = _linked(data.decode(), posixpath.dirname(name), names).encode()
+    with ThreadPoolExecutor() as pool:
+        contents = dict(zip(names, pool.map(content, names), strict=True))
+    for name, data in contents.items():
+        page = name.endswith(".md")
         file = directory / name
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(data)
+        file.write_bytes(_linked(data.decode(), posixpath.dirname(name), names).encode() if page else data)
     return len(names)
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from pytest_otmcp import cli
 from pytest_otmcp.suite.documentation import content, titles, write
+from tests.once import once
 
 CHECKOUT = Path(__file__).parents[2]
 DOCS = CHECKOUT / "docs"
@@ -22,12 +23,15 @@ WRITTEN = [
 ]
 
 
+def _written(directory: Path) -> str:
+    write(directory / "site")
+    return str(directory / "site")
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The whole documentation in a directory."""
-    directory = tmp_path_factory.mktemp("documentation") / "site"
-    write(directory)
-    return directory
+    return Path(once(tmp_path_factory, "documentation", _written))
 
 
 def prose(page: Path) -> str:
@@ -91,13 +95,15 @@ def test_nothing_that_is_built_is_stored() -> None:
     assert {name for name in BUILT if f"/{name}\n" not in ignored} == set()
 
 
-def test_a_directory_with_other_files_is_refused_and_an_earlier_copy_is_replaced(
-    site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_directory_with_other_files_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "README.md").write_text("# Mine\n")
-    assert cli.main(["docs", str(tmp_path)]) == 2
-    assert capsys.readouterr().err.endswith("has other files; name a new or empty directory\n")
-    assert cli.main(["docs", f"{DOCS}/"]) == 2
-    (site / "ci.md").unlink()
-    assert cli.main(["docs", str(site)]) == 0
-    assert (site / "ci.md").read_bytes() == content("ci.md")
+    for directory in (tmp_path, DOCS, CHECKOUT):
+        assert cli.main(["docs", f"{directory}/"]) == 2
+        assert capsys.readouterr().err.endswith("has other files; name a new or empty directory\n")
+
+
+def test_an_earlier_copy_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "README.md").write_bytes(content("README.md"))
+    assert cli.main(["docs", str(tmp_path)]) == 0
+    assert (tmp_path / "ci.md").read_bytes() == content("ci.md")
+    assert capsys.readouterr().out.endswith(f"files written; begin with {tmp_path}/README.md\n")
