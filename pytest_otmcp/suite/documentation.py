@@ -137,11 +137,12 @@ def _parents(path: str) -> Iterator[str]:
 
 def _print(name: str, built: _Built) -> bytes:
     checkout = _checkout()
+    elsewhere = (
+        f"# {built.title}\n\nThis page is built from the kit's own tests, which are in its repository and need the extra `dev`: "
+        f"`otmcp docs {name.removesuffix('.md')}` prints it there.\n"
+    ).encode()
     if built.from_tests and checkout is None:
-        return (
-            f"# {built.title}\n\nThis page is built from the kit's own tests, which are in its repository and not in the package: "
-            f"`otmcp docs {name.removesuffix('.md')}` prints it in a checkout.\n"
-        ).encode()
+        return elsewhere
     # Only the tests are looked for in the working directory: a user's may have a folder of any name.
     command = [sys.executable, *([] if built.from_tests else ["-P"]), "-m", *built.program]
     where = checkout if built.from_tests else None
@@ -152,6 +153,8 @@ def _print(name: str, built: _Built) -> bytes:
     except subprocess.TimeoutExpired:
         raise KitError(f"the page {name} was not built within {_MOST_S:g} s") from None
     except subprocess.CalledProcessError as error:
+        if built.from_tests and b"\nModuleNotFoundError: " in error.stderr:
+            return elsewhere
         raise KitError(f"the page {name} could not be built: {error.stderr.decode(errors='replace')[-400:]}") from None
     return done.stdout
 

@@ -72,6 +72,7 @@ def test_every_link_of_the_built_documentation_stays_in_it_and_leads_to_an_ancho
     pages = [*site.rglob("*.md")]
     assert {page.name for page in pages} >= {name for name in titles() if name.endswith(".md")}
     assert {str(page.relative_to(site)): links for page in pages if (links := list(broken(page)))} == {}
+    assert "**Honest adapters accused: 0 of " in prose(site / "honest-adapters.md")
     outside = {link for page in pages for link in re.findall(r"\]\((\.\./[^)]*)\)", prose(page)) if page.parent == site}
     assert outside == set()
 

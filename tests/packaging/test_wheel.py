@@ -125,7 +125,7 @@ def test_the_wheel_writes_the_whole_documentation_into_a_directory(
     assert {path.name for path in site.iterdir() if path.is_file()} == titles().keys()
     pages = {path: prose(path) for path in site.glob("*.md")}
     assert {str(page): links for page in pages if (links := list(broken(page)))} == {}
-    assert "prints it in a checkout" in pages[site / "honest-adapters.md"]
+    assert "need the extra `dev`" in pages[site / "honest-adapters.md"]
 
 
 def test_bare_pytest_in_an_empty_directory_gives_a_verdict(empty: Path) -> None:
