@@ -1,4 +1,4 @@
-"""Hooks and fixtures of all tests: long tests are left out unless asked for, and adapters can be started warm."""
+"""Hooks and fixtures of all tests: long and weekly tests are left out unless asked for, and adapters can be started warm."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import pytest
 
 from pytest_otmcp.soundness.warm_start import WarmStart
 
-from . import long_tests
-from .long_tests import pytest_collection_modifyitems, pytest_sessionfinish, pytest_testnodedown
+from . import lanes
+from .lanes import pytest_addoption, pytest_collection_modifyitems, pytest_sessionfinish, pytest_testnodedown
 from .outside_witnesses import not_run
 
 __all__ = [
+    "pytest_addoption",
     "pytest_collection_modifyitems",
     "pytest_configure",
     "pytest_sessionfinish",
@@ -31,7 +32,7 @@ def pytest_configure() -> None:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Say what did not run."""
-    long_tests.say_what_was_left_out(terminalreporter, config)
+    lanes.say_what_was_left_out(terminalreporter, config)
     for line in not_run(terminalreporter.stats.get("skipped", [])):
         terminalreporter.write_line(line, yellow=True)
 

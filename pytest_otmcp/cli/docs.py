@@ -1,67 +1,79 @@
-"""``otmcp docs``: the documentation, which the wheel has with it."""
+"""``otmcp docs``: the documentation, page by page in the terminal, or all of it in a directory."""
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Iterator
-from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any
 
-from ..core.errors import KitError, UsageError
+from ..core.errors import UsageError
 from ..core.names import describe_unknown
 from . import show
 
 __all__ = ["add_parser", "run"]
 
-_COPIED = "first-adapter"
-"""The folder of adapters and subject files that beginners copy."""
-
-_LEFT_BEHIND = ("__pycache__", "node_modules", "pki")
+_ANCHOR = re.compile(r'<a id="[^"]*"></a>')
 
 
 def add_parser(subparsers: Any) -> None:
     """Declare the subcommand."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "docs",
-        help="print a page of the documentation, or list the pages",
-        description="Print a page of the documentation (Markdown), or a file that a page tells to copy, such as "
-        "first-adapter/strict_mcp.py; without a name, list the pages.",
+        help="print a page of the documentation, list the pages, or write them all into a directory",
+        description="Print a page of the documentation (Markdown), a JSON Schema, or a file that a page tells to copy, such as "
+        "first-adapter/strict_mcp.py; with a directory, write all of them into it; without an argument, list the pages.",
     )
-    page = parser.add_argument("page", metavar="NAME", nargs="?", help="a page, such as subject-file")
+    page = parser.add_argument(
+        "page",
+        metavar="NAME|DIRECTORY",
+        nargs="?",
+        help="a page, such as subject-file; or a directory, with a slash: ./site or /tmp/site",
+    )
     # argcomplete asks an argument for its words by this attribute.
-    page.completer = lambda **_: [*_pages(), *_to_copy()]  # type: ignore[attr-defined]
+    page.completer = _completed  # type: ignore[attr-defined]
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the page, or one line for each page.
+    """Print the page, or one line for each page, or write all pages.
 
     Raises:
-        UsageError: there is no such page.
-        KitError: the installation has no documentation.
+        UsageError: there is no such page, or the directory cannot be used.
+        KitError: the installation has no documentation, or a page cannot be built.
     """
-    pages = _pages()
+    from ..suite.documentation import INDEX, content, copies, titles, write
+
+    named = {name.removesuffix(".md"): title for name, title in titles().items()}
     if args.page is None:
-        width = max(map(len, pages))
-        for name, page in sorted(pages.items()):
-            show(f"{name:<{width}}  {page.read_text(encoding='utf-8').partition(chr(10))[0].lstrip('# ')}")
+        width = max(map(len, named))
+        for name, title in named.items():
+            show(f"{name:<{width}}  {title}")
         return 0
-    asked = args.page.removeprefix("docs/")
-    if (copied := _to_copy().get(asked)) is not None:
-        print(copied.read_text(encoding="utf-8"), end="")
+    asked = args.page.removeprefix("docs/").removesuffix(".md")
+    if asked in copies():
+        print(content(asked).decode(), end="")
         return 0
-    name = asked.removesuffix(".md")
-    if name not in pages:
-        raise UsageError(describe_unknown("page", name, pages))
-    text = pages[name].read_text(encoding="utf-8")
+    if asked in named:
+        _print(content(f"{asked}.md" if f"{asked}.md" in titles() else asked).decode())
+        return 0
+    if not args.page.startswith((".", "/")) and not args.page.endswith("/"):
+        raise UsageError(describe_unknown("page", asked, named))
+    number = write(Path(args.page))
+    show(f"{number} files written; begin with {Path(args.page) / INDEX}")
+    return 0
+
+
+def _print(text: str) -> None:
+    """Print a page as it is, or for a reader at a terminal."""
     if not sys.stdout.isatty():
         print(text, end="")
-        return 0
+        return
     for line, code in _lines(text):
         # What somebody may copy is left as it is.
         (print if code else show)(line)
-    return 0
 
 
 def _lines(text: str) -> Iterator[tuple[str, bool]]:
@@ -70,39 +82,13 @@ def _lines(text: str) -> Iterator[tuple[str, bool]]:
     for line in text.splitlines():
         fence = line.startswith("```")
         code ^= fence
-        if not line.startswith('<a id="'):
-            yield line, code or fence
+        shown = _ANCHOR.sub("", line)
+        if shown or not line:
+            yield shown, code or fence
 
 
-def _pages() -> dict[str, Traversable]:
-    """Return the pages by name."""
-    return {page.name.removesuffix(".md"): page for page in _entries(_folder()) if page.name.endswith(".md")}
+def _completed(**_: object) -> list[str]:
+    """Return every name, for the completion of words in a shell."""
+    from ..suite.documentation import copies, titles
 
-
-def _to_copy() -> dict[str, Traversable]:
-    """Return the files that a page tells to copy, by their path from the folder of the pages."""
-    return dict(_below(_folder() / _COPIED, _COPIED))
-
-
-def _below(folder: Traversable, path: str) -> Iterator[tuple[str, Traversable]]:
-    """Yield the files of a folder and of those in it, without what Python, npm and an adapter leave there."""
-    for entry in _entries(folder):
-        if entry.is_file():
-            yield f"{path}/{entry.name}", entry
-        elif entry.name not in _LEFT_BEHIND:
-            yield from _below(entry, f"{path}/{entry.name}")
-
-
-def _folder() -> Traversable:
-    from importlib.resources import files
-
-    # In a wheel the folder lies in the kit's package, in a checkout beside it; setup.py says which folders do so.
-    package = files(__package__.partition(".")[0])
-    for folder in (package / "docs", package.joinpath("..", "docs")):
-        if any(page.name.endswith(".md") for page in _entries(folder)):
-            return folder
-    raise KitError("the installation has no documentation")
-
-
-def _entries(folder: Traversable) -> list[Traversable]:
-    return list(folder.iterdir()) if folder.is_dir() else []
+    return [*(name.removesuffix(".md") for name in titles()), *copies()]

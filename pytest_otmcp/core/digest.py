@@ -16,7 +16,7 @@ def files_digest(*packages: str, excluded: Collection[str] = ()) -> str:
     """Return ``sha256:…`` over the code and data files of packages, the same from a wheel and from a checkout.
 
     Args:
-        excluded: dotted names of sub-packages that do not count.
+        excluded: dotted names of sub-packages and files that do not count.
     """
     digest = hashlib.sha256()
     for package in packages:
@@ -27,7 +27,9 @@ def files_digest(*packages: str, excluded: Collection[str] = ()) -> str:
 
 def _files(name: str, folder: Traversable, excluded: Collection[str]) -> Iterator[tuple[str, Traversable]]:
     for entry in folder.iterdir():
+        if f"{name}/{entry.name}".replace("/", ".") in excluded:
+            continue
         if entry.name.endswith(_KINDS):
             yield f"{name}/{entry.name}", entry
-        elif entry.is_dir() and f"{name}/{entry.name}".replace("/", ".") not in excluded:
+        elif entry.is_dir():
             yield from _files(f"{name}/{entry.name}", entry, excluded)

@@ -1,4 +1,4 @@
-"""The JSON Schema of a run record. ``python -m pytest_otmcp.record.json_schema`` prints it; the committed file must be current."""
+"""The JSON Schema of a run record: ``otmcp docs run.schema.json`` prints it, and the build stores it beside this module."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The shape of a run record, ``otmcp-run/2``: the one definition of its members. Pure.
 
 The classes below serve as static types, for the check of every record that is read (:func:`check`), and for the JSON Schema
-beside this module (``python -m pytest_otmcp.record.json_schema``). ``docs/run-record.md`` explains the members to authors of
+of the wheel (``otmcp docs run.schema.json``). ``docs/run-record.md`` explains the members to authors of
 other tools.
 
 Times whose names end in ``_ns`` are of one clock, the machine's monotonic clock, in every process of a run. A member that a

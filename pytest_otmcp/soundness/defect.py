@@ -151,7 +151,7 @@ def chosen(defects: Sequence[Defect], names: Sequence[str]) -> list[Defect]:
         if not matching:
             areas = sorted({area for one in defects for area in one.areas})
             raise UsageError(
-                f"there is no defect and no area {name!r}: expected an id such as {defects[0].id} (otmcp docs soundness "
+                f"there is no defect and no area {name!r}: expected an id such as {defects[0].id} (otmcp docs defects "
                 f"lists them) or one of {' '.join([BENCHMARK, *areas])}"
             )
         found |= matching

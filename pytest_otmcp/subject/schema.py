@@ -1,7 +1,7 @@
-"""The JSON Schema of a subject file, for editors: ``python -m pytest_otmcp.subject.schema`` prints it.
+"""The JSON Schema of a subject file, for editors: ``otmcp docs subject.schema.json`` prints it.
 
-The file ``subject.schema.json`` beside this module is its output for the kit's own protocols. Where a package registers a
-further protocol, the command prints a schema that has that protocol as well.
+The build (``setup.py``) stores the schema for the kit's own protocols beside this module. Where a package registers a further
+protocol, the command prints a schema that has that protocol as well.
 """
 
 from __future__ import annotations
@@ -11,15 +11,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..protocols.own import OWN
 from ..protocols.protocol import OtProtocol
 from ..protocols.registry import protocols
 from .grammar import subject_file
 from .kinds import Definitions
 
-__all__ = ["SHIPPED", "schema", "schema_text"]
+__all__ = ["SHIPPED", "schema", "schema_text", "shipped_text"]
 
 SHIPPED = Path(__file__).with_name("subject.schema.json")
-"""The schema for the kit's own protocols, as editors read it."""
+"""The schema for the kit's own protocols, as editors read it; the build makes it."""
 
 
 def schema(known: Mapping[str, OtProtocol]) -> dict[str, Any]:
@@ -38,6 +39,11 @@ def schema(known: Mapping[str, OtProtocol]) -> dict[str, Any]:
 def schema_text(known: Mapping[str, OtProtocol]) -> str:
     """Return the schema as the text of a file."""
     return json.dumps(schema(known), indent=1, ensure_ascii=False) + "\n"
+
+
+def shipped_text() -> str:
+    """Return the text of :data:`SHIPPED`."""
+    return schema_text({key: protocols()[key] for key in OWN})
 
 
 if __name__ == "__main__":

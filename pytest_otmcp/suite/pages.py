@@ -1,11 +1,14 @@
-"""The pages of ``docs/`` that are made of the suite's own declarations. ``python -m pytest_otmcp.suite.pages items`` prints one;
-the committed files must be current."""
+"""The pages of the documentation that are built from the suite's own declarations, for ``otmcp docs``.
+
+``python -m pytest_otmcp.suite.pages items`` prints one.
+"""
 
 from __future__ import annotations
 
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
 
 from ..core.error_registry import registry
 from ..core.matrix import BENCHMARK, REQUIREMENTS
@@ -15,7 +18,7 @@ from .requirements import Level, Requirement, catalogue, requirements
 
 __all__ = ["PAGES", "page"]
 
-_HEAD = "Made by `python -m pytest_otmcp.suite.pages {name}` from {origin}; a test fails when this page is not current."
+_HEAD = "`otmcp docs {name}` builds this page from {origin}."
 
 _READ = {"text": "the text", "titles": "numbers and titles", None: "nothing"}
 
@@ -132,13 +135,17 @@ def _linked(text: str) -> str:
         name = match.group()
         if name in requirements():
             return f"[{name}](requirements.md#requirement-{name})"
-        if name not in all_tasks():
-            return name
-        page = "checks" if all_tasks()[name].suite == REQUIREMENTS else "items"
-        return f"[{name}]({page}.md#item-{name})"
+        page = _pages_of_tasks().get(name)
+        return name if page is None else f"[{name}]({page}.md#item-{name})"
 
     # The id of a check has the key of its protocol behind a stop; a stop at the end of a sentence has nothing behind it.
     return re.sub(r"(?<![\w`-])[A-Z][A-Z0-9]*(?:-?[A-Za-z0-9]+)*(?:\.[a-z]+(?!\w))?(?![\w`-])", link, text)
+
+
+@cache
+def _pages_of_tasks() -> Mapping[str, str]:
+    """Return the page that explains each task, by the task's id; looking tasks up anew for each link takes seconds."""
+    return {name: "checks" if task.suite == REQUIREMENTS else "items" for name, task in all_tasks().items()}
 
 
 def page(name: str) -> str:

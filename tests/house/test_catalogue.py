@@ -21,7 +21,6 @@ from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.suite.catalogue import SUITE, all_tasks
 from pytest_otmcp.suite.explanations import explained, findings
 from pytest_otmcp.suite.keys import keys_of_code, keys_of_task
-from pytest_otmcp.suite.pages import PAGES, page
 from pytest_otmcp.suite.requirements import Level, catalogue, cited, read, requirements
 from pytest_otmcp.trial.explanation import explanation
 
@@ -339,19 +338,3 @@ def test_every_id_is_explained_once_for_each_of_its_meanings() -> None:
         meanings = [one.kind for one in explained(name)]
         assert meanings, name
         assert len(meanings) == len(set(meanings)), name
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_the_pages_are_current(name: str) -> None:
-    committed = (CHECKOUT / "docs" / f"{name}.md").read_text(encoding="utf-8")
-    assert committed == page(name), f"python -m pytest_otmcp.suite.pages {name} > docs/{name}.md"
-
-
-def test_every_link_of_the_pages_leads_to_an_anchor() -> None:
-    pages = {name: page(name) for name in PAGES}
-    anchors = {
-        f"{name}.md#{anchor}" for name, text in pages.items() for anchor in re.findall(r'<a id="([^"]+)">', text)
-    }
-    links = {link for text in pages.values() for link in re.findall(r"\]\(([^)]+)\)", text)}
-    assert links
-    assert links <= anchors

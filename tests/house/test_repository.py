@@ -52,12 +52,20 @@ def test_the_citation_names_the_version_and_licence_of_the_project() -> None:
 
 
 def test_the_tests_run_on_every_python_and_pytest_that_is_promised() -> None:
-    workflow = (CHECKOUT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8")
+    workflow = (CHECKOUT / ".github" / "workflows" / "weekly.yml").read_text(encoding="utf-8")
     promised = {name.rpartition(" ")[2] for name in PROJECT["classifiers"] if re.search(r"Python :: 3\.\d+$", name)}
     assert set(re.findall(r'python(?:-version)?: "(3\.\d+)"', workflow)) == promised
     [least] = [re.search(r">=([\d.]+)", name) for name in PROJECT["dependencies"] if re.match(r"pytest[><=]", name)]
     assert least is not None
     assert f'pytest: "{least[1]}"' in workflow
+
+
+@pytest.mark.parametrize("name", ["tests", "long", "weekly"])
+def test_the_shards_of_a_lane_are_all_of_its_parts(name: str) -> None:
+    workflow = (CHECKOUT / ".github" / "workflows" / f"{name}.yml").read_text(encoding="utf-8")
+    [shards] = re.findall(r"shard: \[([\d, ]+)\]", workflow)
+    [parts] = re.findall(r"--shard=\$\{\{ matrix.shard \}\}/(\d+)", workflow)
+    assert [int(part) for part in shards.split(",")] == list(range(1, int(parts) + 1))
 
 
 def test_every_requirement_has_a_least_version_and_one_that_is_too_new() -> None:

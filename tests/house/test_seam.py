@@ -28,7 +28,7 @@ LISTS = {"protocols/own.py", "devices.py"}
 DATA = {
     "subject/reference.toml": "describes the kit's reference adapters, as a vendor's file describes the vendor's",
     "subject/named.toml": "describes those of them that have a vocabulary of their own",
-    "subject/subject.schema.json": "is generated from the registered protocols, for editors",
+    "subject/subject.schema.json": "is built from the registered protocols, for editors",
 }
 """Files that are data about certain adapters and protocols, each with what it is."""
 

@@ -1,4 +1,5 @@
-"""Fixtures: a wheel built from this checkout, and an environment in which nothing else of the checkout can be found."""
+"""Fixtures: a wheel built from this checkout with an environment in which nothing else of the checkout can be found, and a clone
+that is installed as editable."""
 
 from __future__ import annotations
 
@@ -22,6 +23,25 @@ FOLDERS = {
     "reference_adapters": "pytest_otmcp/reference_adapters",
 }
 """Folder of the checkout to folder of the wheel."""
+SCHEMAS = ("pytest_otmcp/record/run.schema.json", "pytest_otmcp/subject/subject.schema.json")
+"""Files of the wheel that the build makes."""
+_CLUTTER = shutil.ignore_patterns(
+    *(
+        "__pycache__",
+        "*.pyc",
+        "*.egg-info",
+        "node_modules",
+        "pki",
+        ".git",
+        ".venv",
+        ".*_cache",
+        "build",
+        "dist",
+        "reports",
+    ),
+    *(Path(name).name for name in SCHEMAS),
+)
+"""What a clone does not have; its reports are not needed here."""
 
 _BUILD = """
 import sys
@@ -38,17 +58,20 @@ def _quietly(*command: str | Path, cwd: Path, env: dict[str, str] | None = None)
     return done.stdout
 
 
-def _build(directory: Path) -> str:
-    """Build a wheel from a source distribution: a file that this lacks is missing in the wheel as well."""
-    # pyproject.toml asks for this version.
+def _with_setuptools(directory: Path) -> dict[str, str]:
+    """Return the environment of a process that finds the version of setuptools for which pyproject.toml asks."""
     tools = directory / "setuptools"
     _quietly(sys.executable, "-m", "pip", "install", "--quiet", "--target", tools, "setuptools>=77", cwd=directory)
-    env = {**os.environ, "PYTHONPATH": str(tools)}
+    return {**os.environ, "PYTHONPATH": str(tools)}
+
+
+def _build(directory: Path) -> str:
+    """Build a wheel from a source distribution: a file that this lacks is missing in the wheel as well."""
+    env = _with_setuptools(directory)
     source = directory / "source"
-    clutter = shutil.ignore_patterns("__pycache__", "*.pyc", "*.egg-info", "node_modules", "pki")
     for folder in FOLDERS:
-        shutil.copytree(CHECKOUT / folder, source / folder, ignore=clutter)
-    shutil.copytree(CHECKOUT / "docs", source / "docs", ignore=clutter)
+        shutil.copytree(CHECKOUT / folder, source / folder, ignore=_CLUTTER)
+    shutil.copytree(CHECKOUT / "docs", source / "docs", ignore=_CLUTTER)
     for file in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(CHECKOUT / file, source)
     told = _quietly(sys.executable, "-c", _BUILD, "build_sdist", directory, cwd=source, env=env)
@@ -72,16 +95,48 @@ def environment(factory: pytest.TempPathFactory, wheel: Path) -> Path:
     The wheel's dependencies are those of this environment, linked one by one: the checkout is not among them.
     """
     root = factory.mktemp("empty")
+    python = _python(root, factory.mktemp("dependencies"))
+    _quietly(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", wheel, cwd=root)
+    return root
+
+
+def _python(root: Path, linked: Path) -> Path:
+    """Make ``.venv`` below the root, with the dependencies of this environment, and return its interpreter."""
     _quietly(sys.executable, "-m", "venv", "--without-pip", root / ".venv", cwd=root)
     python = root / ".venv" / "bin" / "python"
-    _quietly(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", wheel, cwd=root)
     ours = _quietly(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=root).strip()
-    linked = factory.mktemp("dependencies")
     for entry in Path(sysconfig.get_path("purelib")).iterdir():
         if not entry.name.startswith(("pytest_otmcp", "__editable__", "__pycache__")):
             (linked / entry.name).symlink_to(entry)
     Path(ours, "dependencies.pth").write_text(f"{linked}\n")
-    return root
+    return python
+
+
+def _clone(directory: Path) -> str:
+    root = directory / "clone"
+    shutil.copytree(CHECKOUT, root, ignore=_CLUTTER)
+    linked = directory / "dependencies"
+    linked.mkdir()
+    python = _python(root, linked)
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "--python",
+        python,
+        "install",
+        "--no-deps",
+        "--no-index",
+        "--no-build-isolation",
+    ]
+    _quietly(*pip, "-e", root, cwd=root, env=_with_setuptools(directory))
+    return str(root)
+
+
+@pytest.fixture(scope="session")
+def clone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the checkout, with an environment ``.venv`` into which it is installed as editable."""
+    return Path(once(tmp_path_factory, "clone", _clone))
 
 
 @pytest.fixture(scope="session")

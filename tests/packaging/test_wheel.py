@@ -13,9 +13,14 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.record import load
+from pytest_otmcp.record.json_schema import json_schema
+from pytest_otmcp.subject.schema import shipped_text
+from pytest_otmcp.suite.catalogue import kit_digest
+from pytest_otmcp.suite.documentation import titles
+from tests.house.test_documentation import broken, prose
 from tests.plugin.test_fixtures_doc import EXAMPLES, TESTS
 
-from .conftest import CHECKOUT, FOLDERS
+from .conftest import CHECKOUT, FOLDERS, SCHEMAS
 
 pytestmark = pytest.mark.long
 
@@ -64,7 +69,8 @@ def test_the_wheel_holds_every_file_of_the_kit_and_one_import_name(wheel: Path) 
         for path in (docs / "first-adapter").rglob("*")
         if path.is_file() and not {"__pycache__", "node_modules", "pki"} & {*path.parts}
     )
-    expected |= {f"pytest_otmcp/docs/{path.relative_to(docs)}" for path in (*docs.glob("*.md"), *copied)}
+    documents = (*docs.glob("*.md"), docs / "built.toml", *copied)
+    expected |= {*SCHEMAS, *(f"pytest_otmcp/docs/{path.relative_to(docs)}" for path in documents)}
     shipped = {name for name in names if name.startswith("pytest_otmcp/")}
     assert expected - shipped == set()
     assert shipped - expected == set()
@@ -92,12 +98,34 @@ def test_the_description_has_no_link_or_image_that_leads_nowhere_on_an_index_pag
     assert "`otmcp docs subject-file`" in description
 
 
+def test_the_build_makes_the_schemas_of_the_wheel(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        found = [archive.read(name).decode() for name in SCHEMAS]
+    assert found == [json_schema(), shipped_text()]
+
+
+def test_the_digest_of_the_kit_is_the_same_from_the_wheel_and_from_the_checkout(empty: Path) -> None:
+    program = "from pytest_otmcp.suite.catalogue import kit_digest; print(kit_digest())"
+    assert run(empty, "python", "-c", program).stdout == f"{kit_digest()}\n"
+
+
 def test_the_documentation_can_be_read_from_the_wheel(empty: Path) -> None:
     listed = run(empty, "otmcp", "docs")
     assert listed.returncode == 0, listed.stderr
-    pages = [line.split()[0] for line in listed.stdout.splitlines()]
-    assert pages == sorted(path.stem for path in (CHECKOUT / "docs").glob("*.md"))
+    assert [line.split()[0] for line in listed.stdout.splitlines()] == [name.removesuffix(".md") for name in titles()]
     assert run(empty, "otmcp", "docs", "ci").stdout == (CHECKOUT / "docs" / "ci.md").read_text()
+
+
+def test_the_wheel_writes_the_whole_documentation_into_a_directory(
+    empty: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    site = tmp_path_factory.mktemp("documentation")
+    written = run(empty, "otmcp", "docs", str(site))
+    assert written.returncode == 0, written.stderr
+    assert {path.name for path in site.iterdir() if path.is_file()} == titles().keys()
+    pages = {path: prose(path) for path in site.glob("*.md")}
+    assert {str(page): links for page in pages if (links := list(broken(page)))} == {}
+    assert "need the extra `dev`" in pages[site / "honest-adapters.md"]
 
 
 def test_bare_pytest_in_an_empty_directory_gives_a_verdict(empty: Path) -> None:

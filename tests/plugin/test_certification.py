@@ -306,14 +306,10 @@ FORGERIES: list[tuple[str, Change]] = [
 ]
 
 
-EVERY_FORGERY = "OTMCP_EVERY_FORGERY" in os.environ
-WHY_NOT = "OTMCP_EVERY_FORGERY=1 changes every kind of member of a large record, otherwise a third of them"
-
-
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param(change, id=name, marks=pytest.mark.skipif(number % 3 > 0 and not EVERY_FORGERY, reason=WHY_NOT))
+        pytest.param(change, id=name, marks=[pytest.mark.weekly] if number % 3 else [])
         for number, (name, change) in enumerate(FORGERIES)
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 
 import pytest
@@ -11,8 +10,6 @@ from pytest_otmcp.core.matrix import REQUIREMENTS
 from pytest_otmcp.suite.catalogue import all_tasks
 
 from .conftest import Judge, Results, failing, passing, words
-from .document import DOCUMENT, with_section
-from .honest.table import section
 from .honest.zoo import ZOO
 
 QUICK = {
@@ -62,10 +59,6 @@ NEIGHBOURS = [
     ("opcua/looks-before-writing", "O3 WR-001.opcua WR-002.opcua"),
 ]
 """Honest adapters, each with the check that it is made for."""
-
-WHOLE_ZOO = "OTMCP_WHOLE_ZOO" in os.environ
-WHY_NOT = "OTMCP_WHOLE_ZOO=1 runs the requirement suite over every honest adapter"
-WHY_NOT_THIS = "OTMCP_WHOLE_ZOO=1 runs the benchmark over every honest adapter, otherwise a twelfth of them is run"
 
 
 def warnings(results: Results) -> Iterator[tuple[str | None, str]]:
@@ -121,7 +114,8 @@ def test_an_honest_adapter_with_commands_of_another_form_is_accused_of_nothing(j
     [
         pytest.param(
             name,
-            marks=() if name in CLOSEST or not number % 12 else pytest.mark.skipif(not WHOLE_ZOO, reason=WHY_NOT_THIS),
+            # A twelfth of them, and those that are closest to what the suite forbids, run with the long tests.
+            marks=() if name in CLOSEST or not number % 12 else pytest.mark.weekly,
         )
         for number, name in enumerate(ZOO)
     ],
@@ -133,11 +127,8 @@ def test_an_honest_adapter_is_accused_of_nothing_in_the_whole_suite(judge: Judge
 @pytest.mark.long
 @pytest.mark.parametrize(
     "name",
-    # A minute each, so most of them run when they are asked for.
-    [
-        pytest.param(name, marks=() if name in CHECKED else pytest.mark.skipif(not WHOLE_ZOO, reason=WHY_NOT))
-        for name in ZOO
-    ],
+    # A minute each.
+    [pytest.param(name, marks=() if name in CHECKED else pytest.mark.weekly) for name in ZOO],
 )
 def test_an_honest_adapter_is_accused_of_nothing_in_the_requirement_suite(judge: Judge, name: str) -> None:
     choice = ZOO[name]
@@ -182,8 +173,3 @@ def test_an_adapter_that_is_close_to_what_a_check_forbids_passes_it(judge: Judge
     results = judge(choice.protocol, "honest/adapter.py", name, described=choice.described, tasks=checks)
     assert passing(results) == set(checks.split()), words(results)
     assert set(warnings(results)) == choice.warnings, words(results)
-
-
-def test_the_documentation_has_every_honest_adapter() -> None:
-    current = with_section("honest", section())
-    assert DOCUMENT.read_text(encoding="utf-8") == current, "out of date: python -m tests.soundness.honest.table"

@@ -26,8 +26,6 @@ from pytest_otmcp.suite.requirements import Level, catalogue
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
 
-from . import EVERY_ADAPTER
-
 FILES = Path(__file__).parents[2] / "docs" / "first-adapter"
 
 ADAPTERS = {"modbus": "modbus", "modbus_async": "modbus", "mqtt": "mqtt", "opcua": "opcua"}
@@ -120,7 +118,7 @@ def test_a_second_form_keeps_what_the_first_one_violates(name: str, protocol: st
 
 
 @pytest.mark.long
-@EVERY_ADAPTER
+@pytest.mark.weekly
 @pytest.mark.parametrize("name", ADAPTERS)
 def test_a_first_form_violates_these_rows_in_the_whole_suite(name: str, judge: Judge) -> None:
     results, facts = judge(FILES / "first" / f"{name}.toml", None)
@@ -132,7 +130,7 @@ def test_a_first_form_violates_these_rows_in_the_whole_suite(name: str, judge: J
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "protocol"),
-    [pytest.param(*pair, marks=EVERY_ADAPTER if pair[0] == "modbus_async" else ()) for pair in ADAPTERS.items()],
+    [pytest.param(*pair, marks=pytest.mark.weekly if pair[0] == "modbus_async" else ()) for pair in ADAPTERS.items()],
 )
 def test_a_second_form_earns_silver(name: str, protocol: str, judge: Judge) -> None:
     results, facts = judge(FILES / f"{name}.toml", None)

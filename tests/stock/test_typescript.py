@@ -26,8 +26,6 @@ from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
 from tests.plugin.command import OTMCP
 
-from . import EVERY_ADAPTER
-
 pytestmark = pytest.mark.long
 
 FILES = Path(__file__).parents[2] / "docs" / "first-adapter" / "typescript"
@@ -180,10 +178,10 @@ def test_the_adapters_have_no_error_of_types(adapters: Path) -> None:
     assert done.returncode == 0, done.stdout
 
 
-PROTOCOLS = [pytest.param(name, marks=() if name == "modbus" else EVERY_ADAPTER) for name in FOUND]
+PROTOCOLS = [pytest.param(name, marks=() if name == "modbus" else pytest.mark.weekly) for name in FOUND]
 
 
-@EVERY_ADAPTER
+@pytest.mark.weekly
 @pytest.mark.parametrize("protocol", FOUND)
 def test_an_adapter_as_first_written_has_its_findings(
     protocol: str, adapters: Path, loop: LoopThread, plant: Plant

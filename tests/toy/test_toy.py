@@ -133,6 +133,8 @@ def test_the_tap_sees_of_a_toy_what_its_device_sees(monkeypatch: pytest.MonkeyPa
     monkeypatch.syspath_prepend(str(SITE))
     monkeypatch.setenv("PYTHONPATH", str(SITE))
     toy = importlib.import_module("otmcp_toy.protocol").TOY
+    # It was not installed when this process read the registry.
+    monkeypatch.setattr("pytest_otmcp.plant.mock_device.protocols", lambda: {"toy": toy})
 
     def ask(port: int) -> list[str]:
         with socket.socket(type=socket.SOCK_STREAM if name == "toy" else socket.SOCK_DGRAM) as client:
@@ -144,7 +146,7 @@ def test_the_tap_sees_of_a_toy_what_its_device_sees(monkeypatch: pytest.MonkeyPa
         return [[*map(one.get, members), one["answers"] is not None] for one in entries if one["kind"].islower()]
 
     async def watched() -> tuple[list[str], list[list[object]], list[list[object]]]:
-        device = MockDevice(toy.mock)
+        device = MockDevice(toy.mock, toy.key)
         await device.launch()
         # The adapter is somebody else than this process.
         device.sessions.expect()

@@ -16,6 +16,7 @@ from pytest_otmcp.errors import UsageError
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import Adapter, Binding, Function, Subject, load_subject, reference_subject
 from pytest_otmcp.subject.claims import Claims
+from pytest_otmcp.subject.schema import shipped_text
 
 MINIMAL = """
 [subject]
@@ -43,7 +44,7 @@ def load(tmp_path: Path, text: str) -> Subject:
 
 
 def schema() -> Any:
-    return json.loads((resources.files("pytest_otmcp.subject") / "subject.schema.json").read_text(encoding="utf-8"))
+    return json.loads(shipped_text())
 
 
 def test_the_reference_adapters_are_described_completely() -> None:

@@ -1,27 +1,29 @@
-"""The section "Honest adapters" of docs/soundness.md: ``python -m tests.soundness.honest.table`` writes it anew."""
+"""The page of the honest adapters: ``otmcp docs honest-adapters`` prints it in a checkout."""
 
 from __future__ import annotations
-
-from tests.soundness.document import DOCUMENT, with_section
 
 from .choice import Choice
 from .zoo import ZOO
 
-__all__ = ["section"]
+__all__ = ["page"]
 
 
-def section() -> str:
-    """Return the table of the zoo's declarations."""
+def page() -> str:
+    """Return the page of the zoo's declarations, as Markdown."""
     warned = sum(bool(choice.warnings | choice.checked_warnings) for choice in ZOO.values())
     lines = [
+        "# Honest adapters",
+        "",
+        "`otmcp docs honest-adapters` builds this page from the declarations of the tests. Each adapter is a reference adapter that makes "
+        "one other choice, which is legal.",
+        "",
         f"**Honest adapters accused: 0 of {len(ZOO)}.** {warned} of them get a warning.",
         "",
         "| adapter | what it does otherwise | why it may | warning |",
         "|---|---|---|---|",
         *(_row(name, choice) for name, choice in ZOO.items()),
-        "",
     ]
-    return "\n".join(lines)
+    return "\n".join(lines) + "\n"
 
 
 def _row(name: str, choice: Choice) -> str:
@@ -32,4 +34,4 @@ def _row(name: str, choice: Choice) -> str:
 
 
 if __name__ == "__main__":
-    DOCUMENT.write_text(with_section("honest", section()), encoding="utf-8")
+    print(page(), end="")

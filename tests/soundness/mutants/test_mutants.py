@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import replace
 
@@ -15,23 +14,16 @@ from pytest_otmcp.reference_adapters.defects.table import DEFECTS, PROTOCOLS, RE
 from pytest_otmcp.soundness.defect import read
 from pytest_otmcp.soundness.judging import IMPATIENT, tasks_of
 from tests.soundness.conftest import DEFECT, Judge, failing, requirements, words
-from tests.soundness.document import DOCUMENT, with_section
-
-from .section import section
 
 LISTED = {defect.id: defect for defect in read(listing()).defects}
-
-WHOLE_MATRIX = "OTMCP_WHOLE_MATRIX" in os.environ
-VARIANTS = "OTMCP_WHOLE_MATRIX=1 runs every variant of a defect"
 
 
 def marks(defect: Defect) -> list[pytest.MarkDecorator]:
     """Return what decides when a defect is run."""
     if defect.quick:
         return []
-    if defect.id in REPRESENTATIVE or WHOLE_MATRIX:
-        return [pytest.mark.long]
-    return [pytest.mark.long, pytest.mark.skip(VARIANTS)]
+    # The variants of a defect are many.
+    return [pytest.mark.long, *([] if defect.id in REPRESENTATIVE else [pytest.mark.weekly])]
 
 
 @pytest.mark.parametrize("name", [pytest.param(defect.id, marks=marks(defect)) for defect in DEFECTS.values()])
@@ -56,10 +48,7 @@ AT_OTHERS = [(defect.id, protocol) for defect in ANYWHERE for protocol in sorted
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "protocol"),
-    [
-        pytest.param(*pair, marks=[] if WHOLE_MATRIX or not number % 3 else [pytest.mark.skip(VARIANTS)])
-        for number, pair in enumerate(AT_OTHERS)
-    ],
+    [pytest.param(*pair, marks=[pytest.mark.weekly] if number % 3 else []) for number, pair in enumerate(AT_OTHERS)],
 )
 def test_a_defect_that_any_adapter_may_have_is_noticed_at_every_protocol(
     judge: Judge, name: str, protocol: str
@@ -77,7 +66,3 @@ def test_every_defect_of_the_catalogue_is_noticed_or_listed_with_its_group() -> 
     assert len(known) == len(set(known))
     assert {catalogue_id(identifier) for identifier in known} == {f"MU-{number:02}" for number in range(1, TOTAL + 1)}
     assert NOT_YET.keys() == GROUPS.keys()
-
-
-def test_the_table_in_the_documentation_is_the_one_of_the_declarations() -> None:
-    assert with_section("defects", section()) == DOCUMENT.read_text(encoding="utf-8")

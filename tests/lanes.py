@@ -1,0 +1,87 @@
+"""Pytest hooks that leave the slow tests out of a run that does not ask for them, say how many there are, and divide a lane.
+
+A test without a marker is fast: ``pytest tests`` runs it. A test marked ``long`` needs LaTeX, a browser, a foreign broker, packages
+from an index, a built wheel, or 30 repetitions of the suite; ``-m long`` runs those. A test marked ``weekly`` is one of hundreds of
+the same kind, of which another lane has a part; ``-m weekly`` runs those, whether or not they are long as well. ``--shard=2/4`` runs
+the second of four parts of what is selected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+import pytest
+
+__all__ = [
+    "pytest_addoption",
+    "pytest_collection_modifyitems",
+    "pytest_sessionfinish",
+    "pytest_testnodedown",
+    "say_what_was_left_out",
+]
+
+_LANES = ("long", "weekly")
+
+_LEFT_OUT = pytest.StashKey[dict[str, int]]()
+"""The number of tests of each lane that were left out of this run."""
+
+_OF_WORKER = "left_out"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Declare the option for machines that share a lane."""
+    parser.addoption("--shard", metavar="K/N", default="1/1", help="run the Kth of N parts of the selected tests")
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Generator[None]:
+    """Deselect the other lanes before, and the other shards after everything else has selected."""
+    _keep(config, items, _of_lane(config, items))
+    yield
+    part, _, parts = config.option.shard.partition("/")
+    # One by one, because neighbours take about the same time.
+    _keep(config, items, items[int(part) - 1 :: int(parts)])
+
+
+def _of_lane(config: pytest.Config, items: list[pytest.Item]) -> list[pytest.Item]:
+    """Return all but the long tests, unless ``-m`` decides, and the weekly ones, unless ``-m`` names them."""
+    asked = config.option.markexpr
+    by_lane: dict[str, list[pytest.Item]] = {lane: [] for lane in _LANES}
+    kept = []
+    for item in items:
+        if item.get_closest_marker("weekly") and "weekly" not in asked:
+            by_lane["weekly"].append(item)
+        elif item.get_closest_marker("long") and not asked:
+            by_lane["long"].append(item)
+        else:
+            kept.append(item)
+    config.stash[_LEFT_OUT] = {lane: len(tests) for lane, tests in by_lane.items()}
+    return kept
+
+
+def _keep(config: pytest.Config, items: list[pytest.Item], kept: list[pytest.Item]) -> None:
+    """Deselect the items that are not kept."""
+    chosen = {*kept}
+    if left_out := [item for item in items if item not in chosen]:
+        items[:] = kept
+        config.hook.pytest_deselected(items=left_out)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Hand a worker's numbers to the controller, which collects nothing itself."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput[_OF_WORKER] = session.config.stash.get(_LEFT_OUT, {})
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Take the numbers from a worker; every worker collects all tests."""
+    node.config.stash[_LEFT_OUT] = getattr(node, "workeroutput", {}).get(_OF_WORKER, {})
+
+
+def say_what_was_left_out(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Say how many tests of each lane were left out, and how to run them."""
+    for lane, number in config.stash.get(_LEFT_OUT, {}).items():
+        if number:
+            terminalreporter.write_line(f"{number} {lane} tests were left out; pytest -m {lane} runs them")
