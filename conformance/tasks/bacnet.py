@@ -69,7 +69,13 @@ def valve(value: float | None) -> Asked:
     return value_of(VALVE).write(value)
 
 
-ping = further.ping(TASKS, "B1", "Ping the adapter and confirm that the BACnet device answers.")
+ping = further.ping(
+    TASKS,
+    "B1",
+    "Ping the adapter and confirm that the BACnet device answers.",
+    seen="{device} answers at least one request during the call: a Who-Is or a read.",
+    why="A status from memory still says so when the plant is gone, and a datagram that was sent proves nothing.",
+)
 
 
 @ping.after
@@ -138,6 +144,9 @@ further.reads_back(
     write=raised,
     read=value_of(VALVE).read_again,
     judge=at_its_priority,
+    asked="Write an analog output at priority 8, and read it.",
+    seen="One write of this REAL at this priority; the slot and the present value hold it, every other slot and object stays as it was.",
+    why="A write without its priority takes the plant out of the hands of its operators, or stays without effect.",
 )
 
 further.guard(
@@ -147,6 +156,7 @@ further.guard(
     needs="write read",
     write=lambda run: valve(99.5),
     read=lambda run: value_of(ZONE).reads(),
+    seen="No service that changes the device, no time synchronization; the device holds what it held.",
 )
 
 
@@ -223,6 +233,7 @@ missing = further.missing(
     refused=lambda entries: oracle.refused_with(entries, *UNKNOWN_OBJECT),
     trace=dict(zip(("error_class", "error_code"), UNKNOWN_OBJECT, strict=True)),
     partly=False,
+    seen="The read, which the device refuses with unknown-object.",
 )
 
 

@@ -77,7 +77,12 @@ def some_analog(run: Repetition, count: int) -> list[Asked]:
     return [analog(FIRST_ANALOG + place).read(value) for place, value in enumerate(drawn(run, count))]
 
 
-further.ping(TASKS, "D1", "Ping the adapter and confirm that the outstation answers.")
+further.ping(
+    TASKS,
+    "D1",
+    "Ping the adapter and confirm that the outstation answers.",
+    seen="{device} answers at least one request during the call: for the status of its link, or another.",
+)
 
 further.reads(
     TASKS,
@@ -88,6 +93,8 @@ further.reads(
         several("analog", FIRST_ANALOG, 4).read(drawn(run, 4)),
         several("binary", FIRST_BINARY, 4).read([bool(run.rng.getrandbits(1)) for _ in range(4)]),
     ],
+    seen="A read of these points, by their indexes or by class 0, and nothing that changes the plant.",
+    why="Values from memory, or with an index that begins at another number, look right until an operator acts on them.",
 )
 
 further.reads_back(
@@ -99,6 +106,9 @@ further.reads_back(
     read=named("otmcp_pump").read_again,
     facet="read_alias",
     judge=selected_write,
+    asked="Latch a binary output to the other state, and read it where the adapter can.",
+    seen="One SELECT and one OPERATE with the same objects and successive sequence numbers; every other point stays as it was.",
+    why="An output that is operated without being selected, twice, or at the index beside it is another breaker.",
 )
 
 further.guard(
@@ -108,6 +118,7 @@ further.guard(
     needs="write_binary read_analog",
     write=lambda run: latched(True),
     read=lambda run: analog(FIRST_ANALOG).reads(),
+    seen="No SELECT and nothing else that changes the plant; the restart bit and the clock are every master's to write.",
 )
 
 
@@ -350,6 +361,7 @@ write_wrong_type = further.refused_by_itself(
     "Write a text to a binary output and expect adapter rejection.",
     needs="write_binary",
     make=lambda run: latch(LATCH).writes("off"),
+    why="A text is true in many languages, and a breaker that was to open closes.",
 )
 
 
@@ -429,6 +441,8 @@ further.beside(
     needs="read_alias write_alias",
     make=contended,
     judge=selected_write,
+    seen="One operation, selected before; {device} holds the new value.",
+    why="A request between a selection and its operation ends the selection, which shows only under load.",
 )
 
 
@@ -438,7 +452,14 @@ def fifty(run: Repetition) -> list[Asked]:
     return [pair[number % 2] for number in range(RAPID_CALLS)]
 
 
-further.rapid(TASKS, "SD3", "Fifty reads of analog inputs in a row.", needs="read_analog", make=fifty)
+further.rapid(
+    TASKS,
+    "SD3",
+    "Fifty reads of analog inputs in a row.",
+    needs="read_analog",
+    make=fifty,
+    why="Leaks, caches and the four bits of a sequence number show in a long series only.",
+)
 
 further.restart(
     TASKS,

@@ -74,7 +74,14 @@ def sensors(run: Repetition) -> list[Asked]:
     return [tag("MotorSpeed").read(speed), tag("Temperature").read(temperature), array(0, 3, LEVELS).read(levels)]
 
 
-further.reads(TASKS, "E2", "Read two tags and three elements of an array.", needs="read_tag read_array", make=sensors)
+further.reads(
+    TASKS,
+    "E2",
+    "Read two tags and three elements of an array.",
+    needs="read_tag read_array",
+    make=sensors,
+    asked="Read motor speed, temperature and three levels, which were set at random just before.",
+)
 
 further.reads_back(
     TASKS,
@@ -83,6 +90,7 @@ further.reads_back(
     needs="write_tag read_tag",
     write=lambda run: VALVE.write(40 + run.rep, before=~(40 + run.rep)),
     read=VALVE.read_again,
+    seen="One write of one element of the type DINT, the least significant byte first; every other value stays as it was.",
 )
 
 further.guard(
@@ -92,6 +100,7 @@ further.guard(
     needs="write_tag read_tag",
     write=lambda run: VALVE.write(999),
     read=lambda run: VALVE.reads(),
+    seen="No service that writes, sets, starts, stops or resets anything; {device} holds what it held.",
 )
 
 
@@ -209,6 +218,7 @@ further.there(
         make=lambda name: tag(str(name)).reads(),
         reached=lambda entries, image, asked: oracle.reached(entries, image, tags_of(asked)),
         refused=unknown,
+        seen="The read, which {device} refuses with the general status 04 or 05.",
     ),
     read=lambda run: TARGET.read(run.rng.choice(DINT_RANGE)),
     beyond=array(9, 2, LEVELS).reads(),
@@ -227,6 +237,7 @@ further.overflow(
     needs="write_tag",
     make=lambda run: VALVE.writes(2**40),
     fits=largest,
+    why="2 to the 40 cut down to 32 bits is 0, a value that nobody asked for.",
 )
 
 further.refused_by_itself(

@@ -64,6 +64,7 @@ further.reads(
     "Read a block of three REAL, a DINT and a REAL from a data block.",
     needs="read_db",
     make=sensor_block,
+    asked="Read twenty bytes of the plant's data block, whose values were set at random just before.",
 )
 
 VERIFIED, FIRST = value_at(32), value_at(0)
@@ -82,6 +83,7 @@ further.reads_back(
     needs="write_db read_typed",
     write=between_guards,
     read=VERIFIED.read_again,
+    seen="One write of one variable of two bytes, the more significant first; every other byte stays as it was.",
 )
 
 further.guard(
@@ -91,6 +93,7 @@ further.guard(
     needs="write_db read_typed",
     write=lambda run: FIRST.write(999),
     read=lambda run: FIRST.reads(),
+    seen="No write, control, stop, download or set clock; {device} holds what it held.",
 )
 
 
@@ -191,6 +194,7 @@ further.there(
         make=lambda missing: value_at(0, db=missing).reads(),
         reached=lambda entries, image, asked: oracle.reached(entries, **bytes_of(asked)),
         refused=partial(oracle.refused_with, code=OBJECT_DOES_NOT_EXIST),
+        seen="The read, which {device} refuses with the return code 0A.",
     ),
     read=lambda run: value_at(40).any(run.rng),
     beyond=value_at(BLOCK_SIZE - 2, "DINT").reads(),
@@ -203,6 +207,7 @@ further.overflow(
     needs="write_db",
     make=lambda run: FIRST.writes(70000),
     fits=lambda run, at: FIRST.write(32767),
+    why="70000 cut down to 16 bits is 4464, a value that nobody asked for.",
 )
 
 further.refused_by_itself(
@@ -211,6 +216,7 @@ further.refused_by_itself(
     "Write a text to a REAL and expect adapter rejection.",
     needs="write_db",
     make=lambda run: value_at(8, "REAL").writes("abc"),
+    why="Whatever four bytes a text becomes, they are a number that nobody asked for.",
 )
 
 
