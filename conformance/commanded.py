@@ -49,7 +49,7 @@ async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: st
         requirement: id of the requirement that anything else breaks; None is WR-001 to WR-003, depending on what it is.
     """
     await at.prove()
-    before = await at.image()
+    before = await at.device.image()
     reply = await at.call(asked.operation, **asked.inputs)
     if not run.succeeds(reply, requirement=requirement):
         return
@@ -73,7 +73,7 @@ async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: st
         run.finding("not_written_once", message, requirement or "WR-001", evidence=protocols()[at.protocol].seen(seen))
     if asked.points:
         witness = Witness(noun="the device", describe=protocols()[at.protocol].describe)
-        changed = witness.only_changed(before, await at.image(), asked.points)
+        changed = witness.only_changed(before, await at.device.image(), asked.points)
         run.witnessed([replace(finding, requirement=requirement or finding.requirement) for finding in changed])
 
 
@@ -127,7 +127,10 @@ async def guarded(run: Repetition, at: Rig, asked: Asked) -> None:
 
 def nothing_sent(at: Rig, entries: Entries) -> list[Finding]:
     """Expect that nothing among entries commands the plant, whose writes are disabled."""
-    return [replace(finding, requirement="WR-004") for finding in nothing_commanded(at.protocol, entries, at.declared)]
+    return [
+        replace(finding, requirement="WR-004")
+        for finding in nothing_commanded(at.protocol, entries, at.subject.declared)
+    ]
 
 
 def _since(reply: Reply, entries: Entries) -> Entries:

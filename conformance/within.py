@@ -50,10 +50,10 @@ def _waiting_for_texts(at: Rig, exercise: Exercise) -> Exercise:
     texts, waiting = exercise.device_texts, exercise.waiting
     if texts is None:
         return exercise
-    waited_for = waiting.device_texts if waiting is not None and at.blocks(waiting.operation) else None
+    waited_for = waiting.device_texts if waiting is not None and at.subject.blocks(waiting.operation) else None
 
     def device_texts(name: str) -> tuple[DeviceText, ...]:
-        prompt = (place for place in texts(name) if not at.blocks(place.ask("").operation))
+        prompt = (place for place in texts(name) if not at.subject.blocks(place.ask("").operation))
         return (*(waited_for(name, _waiting_s(at)) if waited_for else ()), *prompt)
 
     return replace(exercise, device_texts=device_texts)
@@ -61,12 +61,12 @@ def _waiting_for_texts(at: Rig, exercise: Exercise) -> Exercise:
 
 def _answered(at: Rig, exercise: Exercise) -> Exercise:
     """Return the exercise with a call that waits, or else a status, in the place of the read, for an adapter that has no read."""
-    if at.claims(exercise.reading):
+    if at.subject.claims(exercise.reading):
         return exercise
     waiting = exercise.waiting
-    if waiting is not None and at.blocks(waiting.operation):
+    if waiting is not None and at.subject.blocks(waiting.operation):
         return replace(exercise, reading=waiting.operation, read=lambda rng: waiting.read(rng, _waiting_s(at)))
-    calls = (call for call in protocols()[at.protocol].proof.unreachable if at.claims(call.operation))
+    calls = (call for call in protocols()[at.protocol].proof.unreachable if at.subject.claims(call.operation))
     asked = next((call for call in calls if at.can_ask(call.operation, call.made(random.Random(0)))), None)
     if asked is None:
         return exercise
@@ -79,8 +79,8 @@ def _answered(at: Rig, exercise: Exercise) -> Exercise:
 
 def _otherwise(at: Rig, exercise: Exercise) -> Exercise:
     """Return the exercise with the write that takes the place of its own, for an adapter that has no operation for that."""
-    others = () if at.claims(exercise.writing) else exercise.otherwise
-    instead = next((one for one in others if at.claims(one.operation)), None)
+    others = () if at.subject.claims(exercise.writing) else exercise.otherwise
+    instead = next((one for one in others if at.subject.claims(one.operation)), None)
     if instead is None:
         return exercise
     return replace(
@@ -96,7 +96,9 @@ def _otherwise(at: Rig, exercise: Exercise) -> Exercise:
 def _taken(at: Rig, asked: Asked) -> Asked:
     """Return a call without the inputs that only some tools take, and that of the adapter does not."""
     voluntary = protocols()[at.protocol].operations[asked.operation].voluntary_inputs
-    left_out = [name for name in voluntary if name in asked.inputs and not at.accepts_input(asked.operation, name)]
+    left_out = [
+        name for name in voluntary if name in asked.inputs and not at.subject.accepts_input(asked.operation, name)
+    ]
     return replace(asked, inputs={name: value for name, value in asked.inputs.items() if name not in left_out})
 
 
@@ -120,7 +122,7 @@ def _by_command(at: Rig, exercise: Exercise) -> Exercise:
         commanded=commanded,
         every_write=every and (lambda rng: (*every(rng), *(drawn(*one, rng) for one in single))),
     )
-    if not single or (at.claims(exercise.writing) and not at.by_command_alone(exercise.writing)):
+    if not single or (at.subject.claims(exercise.writing) and not at.by_command_alone(exercise.writing)):
         return found
     # Of many values no two are likely to be the same.
     most = max(single, key=lambda one: one[1].count)

@@ -69,18 +69,18 @@ async def addresses_are_those_that_were_asked_for(run: Repetition, modbus: Rig) 
     Seen: one write to this register, and a read of it.
     Why: an adapter that counts wrongly, in reads and writes alike, agrees with itself and moves the neighbour.
     """
-    await modbus.poke(unit=1, cells=SIZE)
+    await modbus.device.poke(unit=1, cells=SIZE)
     for address in (1, *run.rng.sample(range(10, 90), 3), 0, SIZE - 2, SIZE - 1, *_LIKE_NAMES):
         written, held = run.rng.sample(range(SIZE), 2)
         for neighbour in (address - 1, address + 1):
             if 0 <= neighbour < SIZE:
-                await modbus.poke(unit=1, table="holding_registers", address=neighbour, values=[held])
+                await modbus.device.poke(unit=1, table="holding_registers", address=neighbour, values=[held])
         codes = () if address == 1 else _UNKNOWN
         reply = await modbus.call("write_holding", address=address, value=written)
         if exact_or_refused(run, reply, *codes, requirement="ADR-001", value=written):
             seen = reply.during(await modbus.journal())
             run.witnessed(modbus_oracle.exactly_one_write(seen, "holding_registers", address=address, values=[written]))
-        await modbus.poke(unit=1, table="holding_registers", address=address, values=[held ^ 1])
+        await modbus.device.poke(unit=1, table="holding_registers", address=address, values=[held ^ 1])
         read = await modbus.call("read_holding", address=address, count=1)
         if exact_or_refused(run, read, *codes, requirement="ADR-001", values=[held ^ 1]):
             seen = read.during(await modbus.journal())
@@ -116,7 +116,7 @@ async def what_is_no_address_is_refused(run: Repetition, modbus: Rig) -> None:
         ("write_holding", {"address": 20, "value": 7}),
     ):
         for unit in (-1, 256, 257, 2**31, 1.5, "0x1", 248, 254):
-            if modbus.accepts_input(operation, "unit"):
+            if modbus.subject.accepts_input(operation, "unit"):
                 # A reserved unit is a number that a gateway may have been given.
                 nobody = _NOBODY if unit in (248, 254) else ()
                 await refused(operation, {**inputs, "unit": 1}, "unit", unit, nobody=nobody)
@@ -177,9 +177,9 @@ async def what_does_not_fit_a_register_is_refused(run: Repetition, modbus: Rig) 
     await modbus.prove()
     for low, high in ((0, -1), (0xFFFF, 0x10000), (0, 70000), (0xFFFF, -(2**31))):
         await _bound(run, modbus, "write_holding", {"address": 1}, "value", low, high, (1, [low]))
-        if modbus.claims("write_registers"):
+        if modbus.subject.claims("write_registers"):
             await _bound(run, modbus, "write_registers", {"address": 1}, "values", [7, low], [7, high], (1, [7, low]))
-    if modbus.claims("write_tag"):
+    if modbus.subject.claims("write_tag"):
         for inside, beyond in ((-(2**31), -(2**31) - 1), (2**31 - 1, 2**31)):
             await _bound_of_tag(run, modbus, "otmcp_swapped", inside, beyond)
         await _bound_of_tag(run, modbus, "otmcp_float", 3.4028234663852886e38, 1e39)
@@ -207,13 +207,13 @@ async def _bound(
     address, words = held
     accepted = await modbus.call(operation, **inputs, **{name: inside})
     run.succeeds(accepted, requirement="ADR-003")
-    before = await modbus.image()
+    before = await modbus.device.image()
     run.witnessed(modbus_oracle.image_holds(before, "holding_registers", address, words))
     reply = await modbus.call(operation, **inputs, **{name: beyond})
     run.fails(reply, "range_overflow", outcome=NOTHING_SENT, requirement="ADR-003")
     run.witnessed(
         modbus_oracle.no_state_changing_request(reply.during(await modbus.journal()), requirement="ADR-003"),
-        modbus_oracle.only_changed(before, await modbus.image(), {}, otherwise="ADR-003"),
+        modbus_oracle.only_changed(before, await modbus.device.image(), {}, otherwise="ADR-003"),
     )
 
 
@@ -231,18 +231,18 @@ async def a_register_holds_whole_numbers(run: Repetition, modbus: Rig) -> None:
     cases: list[tuple[str, dict[str, Any], list[object]]] = [
         ("write_holding", {"address": 1, "value": 7}, [40.7, "abc", "40", [40], None])
     ]
-    if modbus.claims("write_coil"):
+    if modbus.subject.claims("write_coil"):
         cases.append(("write_coil", {"address": 20, "value": True}, ["false", "off", None]))
     for operation, inputs, values in cases:
         for value in values:
-            before = await modbus.image()
+            before = await modbus.device.image()
             reply = await _with(modbus, operation, inputs, "value", value)
             if reply is None:
                 continue
             run.fails(reply, *_WRONG_KIND, outcome=NOTHING_SENT, requirement="ADR-004")
             run.witnessed(
                 modbus_oracle.no_state_changing_request(reply.during(await modbus.journal()), requirement="ADR-004"),
-                modbus_oracle.only_changed(before, await modbus.image(), {}, otherwise="ADR-004"),
+                modbus_oracle.only_changed(before, await modbus.device.image(), {}, otherwise="ADR-004"),
             )
     await a_write_works(run, modbus)
 
@@ -269,7 +269,7 @@ async def scaled_values_are_rounded(run: Repetition, modbus: Rig) -> None:
             raw = round((Decimal(str(value)) - Decimal(str(tag.offset))) / step)
             written = await modbus.call("write_tag", name=name, value=value)
             if run.succeeds(written, requirement="ADR-005"):
-                image = await modbus.image()
+                image = await modbus.device.image()
                 run.witnessed(_holds(image, tag.address, registers(raw, tag.type)))
                 told = written.outputs.get("raw")
                 if isinstance(told, int) and told != raw:
@@ -359,7 +359,7 @@ async def what_does_not_fit_a_node_is_refused(run: Repetition, opcua: Rig) -> No
     Seen: the node holds the bound, also after what is beyond it.
     Why: a value that is cut down to fit is one that nobody asked for.
     """
-    await opcua.poke(nodes="types")
+    await opcua.device.poke(nodes="types")
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return
     for kind, pairs in _BOUNDS.items():
@@ -371,7 +371,7 @@ async def what_does_not_fit_a_node_is_refused(run: Repetition, opcua: Rig) -> No
             sent = any(entry["kind"] == "Write" for entry in seen if entry["state_changing"])
             codes = ("range_overflow", "type_mismatch", "illegal_value") if sent else ("range_overflow",)
             run.fails(reply, *codes, outcome=(*NOTHING_SENT, "rejected"), requirement="ADR-003")
-            run.witnessed(_kept(await opcua.image(), node, inside, "ADR-003"))
+            run.witnessed(_kept(await opcua.device.image(), node, inside, "ADR-003"))
 
 
 def _kept(image: Any, node: str, value: object, requirement: str) -> list[Finding]:
@@ -390,10 +390,10 @@ async def a_node_holds_its_own_kind(run: Repetition, opcua: Rig) -> None:
     Seen: no node holds another value than before.
     Why: a value that is made to fit is one that nobody asked for: many languages take the text "false" for true.
     """
-    await opcua.poke(nodes=["types", "arrays"])
+    await opcua.device.poke(nodes=["types", "arrays"])
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return
-    await opcua.poke(node="Boolean", value=False)
+    await opcua.device.poke(node="Boolean", value=False)
     wrong: dict[str, tuple[object, ...]] = {
         "Boolean": ("false", "off", [True]),
         "Int32": (40.7, "abc", True, [7]),
@@ -403,14 +403,14 @@ async def a_node_holds_its_own_kind(run: Repetition, opcua: Rig) -> None:
         "Int32.Vector": (7, "abc", [1.5, 2, 3]),
         "Double.Matrix": (1.5, [1.5, 2.5]),
     }
-    before = await opcua.image()
+    before = await opcua.device.image()
     for name, values in wrong.items():
         node = f"ns=2;s={name}"
         for value in values:
             reply = await opcua.call("write", node=node, value=value)
             run.fails(reply, *_WRONG_KIND, "illegal_value", outcome=(*NOTHING_SENT, "rejected"), requirement="ADR-004")
             held = opcua_oracle.held(before, node)
-            run.witnessed(_kept(await opcua.image(), node, held, "ADR-004"))
+            run.witnessed(_kept(await opcua.device.image(), node, held, "ADR-004"))
     await a_write_works(run, opcua)
 
 
@@ -442,7 +442,7 @@ async def nodes_are_who_they_say(run: Repetition, opcua: Rig) -> None:
 async def _other_nodes(run: Repetition, opcua: Rig) -> None:
     """Read nodes that there are not, each of which is a known node when a part of its id is overlooked; and one that there is."""
     digits, value = str(run.rng.randrange(10_000, 100_000)), round(run.rng.uniform(1.0, 99.0), 3)
-    await opcua.poke(create=[{"variable": digits, "type": "Double", "value": value}])
+    await opcua.device.poke(create=[{"variable": digits, "type": "Double", "value": value}])
     reply = await opcua.call("read", node=f"ns=2;s={digits}")
     exact_or_refused(run, reply, *_UNKNOWN, requirement="ADR-008", value=value)
     for other in (f"ns=2;i={digits}", "s=2256", "nsu=urn:otmcp:unknown;s=Temperature", "nsu=urn:otmcp:unknown;i=2256"):
@@ -458,29 +458,29 @@ async def _renumbered(run: Repetition, opcua: Rig) -> None:
     name = "ValvePosition"
     node = f"nsu={_PLANT};s={name}"
     value, twin = (round(run.rng.uniform(1.0, 99.0), 3) for _ in range(2))
-    keeps = opcua.claims("recovery") and opcua.reconnects
-    if opcua.claims("write"):
+    keeps = opcua.subject.claims("recovery") and opcua.subject.reconnects
+    if opcua.subject.claims("write"):
         # With other namespaces the nodes that a proof uses have other ids.
         await opcua.prove()
-    await opcua.poke(node=name, value=value)
+    await opcua.device.poke(node=name, value=value)
     reply = await opcua.call("read", node=node)
     if not exact_or_refused(run, reply, *_UNKNOWN, "unsupported_operation", requirement="ADR-008", value=value):
         return
-    await opcua.poke(namespaces=[_TWIN])
-    await opcua.poke(create=[{"variable": name, "type": "Double", "value": twin, "namespace": _TWIN}])
-    await opcua.poke(node=name, value=value)
+    await opcua.device.poke(namespaces=[_TWIN])
+    await opcua.device.poke(create=[{"variable": name, "type": "Double", "value": twin, "namespace": _TWIN}])
+    await opcua.device.poke(node=name, value=value)
     if not keeps:
         await opcua.fresh_session()
     replies = await opcua.call_until_success("read", window_s=0.0, node=node)
     run.succeeds(replies[-1], requirement="ADR-008", value=value)
-    if opcua.claims("write") and keeps:
+    if opcua.subject.claims("write") and keeps:
         written = round(run.rng.uniform(1.0, 99.0), 3)
         run.succeeds(await opcua.call("write", node=node, value=written), requirement="ADR-008", value=written)
-        image = await opcua.image()
+        image = await opcua.device.image()
         run.witnessed(
             _kept(image, f"ns=3;s={name}", written, "ADR-008"), _kept(image, f"ns=2;s={name}", twin, "ADR-008")
         )
-    await opcua.poke(namespaces=[])
+    await opcua.device.poke(namespaces=[])
     await works_again(run, opcua, "read", node=f"ns=2;s={name}")
 
 
@@ -505,7 +505,7 @@ async def what_is_outside_of_a_domain_is_refused(run: Repetition, at: Rig) -> No
     for name, values in asks.outside.items():
         for value in values:
             for asked in (reading, writing):
-                if name in asked.inputs and at.accepts_input(asked.operation, name):
+                if name in asked.inputs and at.subject.accepts_input(asked.operation, name):
                     nobody = (*_NOBODY, *CONNECTION_FAULTS) if value in asks.unanswered.get(name, ()) else ()
                     await _refused(run, at, asked.operation, asked.inputs, name, value, nobody=nobody)
     await a_read_works(run, at)
@@ -525,18 +525,18 @@ async def what_does_not_fit_is_refused(run: Repetition, at: Rig) -> None:
     """
     bounds = exercise(at).bounds
     assert bounds is not None
-    offered = [(asked, beyond) for asked, beyond in bounds() if at.claims(asked.operation)]
+    offered = [(asked, beyond) for asked, beyond in bounds() if at.subject.claims(asked.operation)]
     if not offered:
         run.not_applicable("the adapter has no operation that writes a number")
     await at.prove()
     await a_write_works(run, at)
     for asked, beyond in offered:
         for poke in asked.pokes:
-            await at.poke(**poke)
+            await at.device.poke(**poke)
         accepted = await at.call(asked.operation, **asked.inputs)
         if not exact_or_refused(run, accepted, "unsupported_operation", "invalid_input", requirement="ADR-003"):
             continue
-        before = await at.image()
+        before = await at.device.image()
         run.witnessed(citing("ADR-003", witness(at).holds(before, asked.points)))
         reply = await at.call(asked.operation, **{**asked.inputs, "value": beyond})
         run.fails(reply, "range_overflow", outcome=NOTHING_SENT, requirement="ADR-003")
@@ -547,7 +547,7 @@ async def _unchanged(run: Repetition, at: Rig, reply: Reply, before: Image, requ
     """Expect that nothing of a call has reached the device and that the device is as it was."""
     run.witnessed(
         nothing_arrived(at, reply.during(await at.journal()), requirement=requirement),
-        witness(at).only_changed(before, await at.image(), {}, otherwise=requirement),
+        witness(at).only_changed(before, await at.device.image(), {}, otherwise=requirement),
     )
 
 
@@ -566,10 +566,10 @@ async def what_is_of_another_kind_is_refused(run: Repetition, at: Rig) -> None:
     await at.prove()
     await a_write_works(run, at)
     for asked, values in misfits():
-        if not at.claims(asked.operation):
+        if not at.subject.claims(asked.operation):
             continue
         for value in values:
-            before = await at.image()
+            before = await at.device.image()
             reply = await _with(at, asked.operation, asked.inputs, "value", value)
             if reply is not None:
                 run.fails(reply, *_WRONG_KIND, outcome=NOTHING_SENT, requirement="ADR-004")

@@ -47,7 +47,9 @@ async def topics_to_publish_on_are_checked(run: Repetition, mqtt: Rig) -> None:
         run.fails(reply, "invalid_input", "limit_exceeded", outcome="not_sent", requirement="ADR-006")
     await mqtt.watch(QUIET_S)
     journal = await mqtt.journal()
-    nothing = mqtt_oracle.not_published(journal, payload.encode(), requirement="ADR-006", declared=mqtt.declared)
+    nothing = mqtt_oracle.not_published(
+        journal, payload.encode(), requirement="ADR-006", declared=mqtt.subject.declared
+    )
     run.witnessed(nothing, mqtt_oracle.session_stays_up(journal))
     await a_write_works(run, mqtt)
 
@@ -71,9 +73,9 @@ async def qualities_of_service_and_filters_are_checked(run: Repetition, mqtt: Ri
     subscription: dict[str, Any] = {"filter": topic, "qos": 1}
     publication: dict[str, Any] = {"topic": "control/pump", "payload": payload, "qos": 1}
     for operation, asked in (("subscribe", subscription), ("publish", publication)):
-        if not mqtt.claims(operation) or not mqtt.accepts_input(operation, "qos"):
+        if not mqtt.subject.claims(operation) or not mqtt.subject.accepts_input(operation, "qos"):
             continue
-        for qos in dict.fromkeys((mqtt.probe("bad_qos"), 3, -1, 1.5)):
+        for qos in dict.fromkeys((mqtt.subject.probe("bad_qos"), 3, -1, 1.5)):
             _is_refused(run, await mqtt.call(operation, **{**asked, "qos": qos}))
         for qos in ("1", True) if _is_whole_number(mqtt, operation, asked) else ():
             _is_refused(run, await mqtt.call(operation, **{**asked, "qos": qos}))
@@ -84,7 +86,9 @@ async def qualities_of_service_and_filters_are_checked(run: Repetition, mqtt: Ri
     journal = await mqtt.journal()
     for text in (topic, *wrong):
         run.witnessed(mqtt_oracle.not_subscribed(journal, text))
-    nothing = mqtt_oracle.not_published(journal, payload.encode(), requirement="ADR-007", declared=mqtt.declared)
+    nothing = mqtt_oracle.not_published(
+        journal, payload.encode(), requirement="ADR-007", declared=mqtt.subject.declared
+    )
     run.witnessed(nothing, citing("ADR-007", mqtt_oracle.session_stays_up(journal)))
     reply = await mqtt.call("subscribe", **subscription)
     run.succeeds(reply, granted_qos=1)

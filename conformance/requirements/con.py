@@ -77,10 +77,12 @@ async def each_read_of_registers_gets_its_own(run: Repetition, modbus: Rig) -> N
     for count in _PARALLEL:
         values = [run.rng.randrange(0x10000) for _ in range(count)]
         late = run.rng.sample(range(count), count // 4)
-        await modbus.poke(unit=1, table="input_registers", address=0, values=values)
-        await modbus.fault(*({"function": 4, "address": address, "action": {"delay_s": _LATE_S}} for address in late))
+        await modbus.device.poke(unit=1, table="input_registers", address=0, values=values)
+        await modbus.device.fault(
+            *({"function": 4, "address": address, "action": {"delay_s": _LATE_S}} for address in late)
+        )
         replies = await run.together(*(modbus.call("read_input", address=i, count=1) for i in range(count)))
-        await modbus.fault()
+        await modbus.device.fault()
         for reply, value in zip(replies, values, strict=True):
             _has_its_own(run, reply, count, values=[value])
     journal = await modbus.journal()
@@ -134,12 +136,12 @@ async def each_read_gets_its_own(run: Repetition, at: Rig) -> None:
     for count in _PARALLEL:
         asked = distinct(run.rng, count)
         for poke in {str(poke): poke for one in asked for poke in one.pokes}.values():
-            await at.poke(**poke)
+            await at.device.poke(**poke)
         conditions = {str(one.condition): one.condition for one in asked}
         late = run.rng.sample(sorted(conditions), len(conditions) // 4)
-        await at.fault(*faulty([conditions[name] for name in late], delay_s=_LATE_S))
+        await at.device.fault(*faulty([conditions[name] for name in late], delay_s=_LATE_S))
         replies = await run.together(*(at.call(one.operation, **one.inputs) for one in asked))
-        await at.fault()
+        await at.device.fault()
         for reply, one in zip(replies, asked, strict=True):
             _has_its_own(run, reply, count, **one.outputs)
 
@@ -156,12 +158,14 @@ async def each_subscription_gets_its_own(run: Repetition, mqtt: Rig) -> None:
     for count in _PARALLEL:
         asked = {f"otmcp/side/{run.rng.getrandbits(32):08x}": run.rng.randrange(3) for _ in range(count)}
         late = run.rng.sample(sorted(asked), count // 4)
-        await mqtt.fault(*({"packet": "SUBSCRIBE", "topic": text, "action": {"delay_s": _LATE_S}} for text in late))
+        await mqtt.device.fault(
+            *({"packet": "SUBSCRIBE", "topic": text, "action": {"delay_s": _LATE_S}} for text in late)
+        )
         replies = await run.together(*(mqtt.call("subscribe", filter=text, qos=qos) for text, qos in asked.items()))
-        await mqtt.fault()
+        await mqtt.device.fault()
         for reply, qos in zip(replies, asked.values(), strict=True):
             _has_its_own(run, reply, count, granted_qos=qos)
-        if mqtt.claims("unsubscribe"):
+        if mqtt.subject.claims("unsubscribe"):
             await run.together(*(mqtt.call("unsubscribe", filter=text) for text in asked))
 
 
@@ -171,10 +175,10 @@ async def each_subscription_gets_its_own(run: Repetition, mqtt: Rig) -> None:
 async def _late(run: Repetition, at: Rig, operation: str, first: Mapping[str, Any], second: Mapping[str, Any]) -> Reply:
     """Let a call time out at a device that stands still, and return the reply to the next one, during which the answer to the
     first is sent."""
-    await at.poke(network="stalled")
+    await at.device.poke(network="stalled")
     reply = await at.call(operation, **first)
     run.fails(reply, *CONNECTION_FAULTS, requirement="TMO-001", code_requirement="ERR-005")
-    await at.poke(network="open")
+    await at.device.poke(network="open")
     return await at.call(operation, **second)
 
 
@@ -195,15 +199,15 @@ async def a_late_register_is_not_taken_for_another(run: Repetition, modbus: Rig)
     Why: after one slow moment of the device every answer would be that of the call before.
     """
     first, second = run.rng.sample(range(0x10000), 2)
-    await modbus.poke(unit=1, table="holding_registers", address=40, values=[first, 0, second])
+    await modbus.device.poke(unit=1, table="holding_registers", address=40, values=[first, 0, second])
     await a_read_works(run, modbus)
-    await modbus.fault(
+    await modbus.device.fault(
         {"function": 3, "address": 40, "times": 1, "action": {"delay_s": _FIRST_LATE_S}},
         {"function": 3, "address": 42, "times": 1, "action": {"delay_s": _SECOND_LATE_S}},
     )
     reply = await _late(run, modbus, "read_holding", {"address": 40, "count": 1}, {"address": 42, "count": 1})
     _not_the_late_one(run, reply, values=[second])
-    await modbus.fault()
+    await modbus.device.fault()
     await answers_again(run, modbus)
 
 
@@ -217,17 +221,17 @@ async def a_late_variable_is_not_taken_for_another(run: Repetition, opcua: Rig) 
     Why: after one slow moment of the server every answer would be that of the call before.
     """
     first, second = (round(run.rng.uniform(-50.0, 150.0), 6) for _ in range(2))
-    await opcua.poke(node="Temperature", value=first)
-    await opcua.poke(node="Pressure", value=second)
+    await opcua.device.poke(node="Temperature", value=first)
+    await opcua.device.poke(node="Pressure", value=second)
     await a_read_works(run, opcua)
     one, other = "ns=2;s=Temperature", "ns=2;s=Pressure"
-    await opcua.fault(
+    await opcua.device.fault(
         {"service": "Read", "node": one, "times": 1, "action": {"delay_s": _FIRST_LATE_S}},
         {"service": "Read", "node": other, "times": 1, "action": {"delay_s": _SECOND_LATE_S}},
     )
     reply = await _late(run, opcua, "read", {"node": one}, {"node": other})
     _not_the_late_one(run, reply, value=second)
-    await opcua.fault()
+    await opcua.device.fault()
     await answers_again(run, opcua)
 
 
@@ -246,12 +250,12 @@ async def registers_are_read_beside_writes(run: Repetition, modbus: Rig) -> None
     Seen: each write once; the cell holds what was written last; each of the targets its own value.
     Why: half of an old number and half of a new one is a number that the plant never had.
     """
-    wide = modbus.claims("write_registers") and modbus.claims("read_typed")
+    wide = modbus.subject.claims("write_registers") and modbus.subject.claims("read_typed")
     await modbus.prove()
     for _ in range(_ROUNDS):
         values = run.rng.sample(range(1, 0x100000000 if wide else 0x10000), 3)
         old, *new = [[value >> 16, value & 0xFFFF] if wide else [value] for value in values]
-        await modbus.poke(unit=1, table="holding_registers", address=20, values=old)
+        await modbus.device.poke(unit=1, table="holding_registers", address=20, values=old)
         if wide:
             writes = [modbus.call("write_registers", address=20, values=words) for words in new]
             reads = [modbus.call("read_typed", address=20, type="uint32") for _ in range(4)]
@@ -272,9 +276,13 @@ async def registers_are_read_beside_writes(run: Repetition, modbus: Rig) -> None
         run.witnessed(_linear(modbus, written, new, seen))
         if seen and all(reply.success for reply in written):
             run.witnessed(
-                _kept(modbus_oracle.image_holds(await modbus.image(), "holding_registers", 20, list(seen[-1] or [])))
+                _kept(
+                    modbus_oracle.image_holds(
+                        await modbus.device.image(), "holding_registers", 20, list(seen[-1] or [])
+                    )
+                )
             )
-    if modbus.claims("read_typed"):
+    if modbus.subject.claims("read_typed"):
         await _a_moving_number_is_whole(run, modbus)
     every_write = exercise(modbus).every_write
     assert every_write is not None
@@ -285,13 +293,13 @@ async def registers_are_read_beside_writes(run: Repetition, modbus: Rig) -> None
 
 async def _a_moving_number_is_whole(run: Repetition, modbus: Rig) -> None:
     start = run.rng.randrange(1, 0x1000)
-    await modbus.poke(unit=1, table="holding_registers", address=22, values=[start, start])
+    await modbus.device.poke(unit=1, table="holding_registers", address=22, values=[start, start])
     cells = [
         {"unit": 1, "table": "holding_registers", "address": address, "change": "increment"} for address in (22, 23)
     ]
-    await modbus.poke(restless=cells)
+    await modbus.device.poke(restless=cells)
     reply = await modbus.call("read_typed", address=22, type="uint32")
-    await modbus.poke(restless=[])
+    await modbus.device.poke(restless=[])
     run.succeeds(reply, requirement="CON-004")
     value = reply.outputs.get("value")
     if isinstance(value, int) and value >> 16 != value & 0xFFFF:
@@ -316,12 +324,12 @@ async def _each_to_its_own(run: Repetition, at: Rig, asked: Sequence[Asked]) -> 
     """Write different targets by calls at the same time: each of them holds its own value afterwards."""
     apart: list[Asked] = []
     for one in asked:
-        if at.claims(one.operation) and all(one.points.keys().isdisjoint(other.points) for other in apart):
+        if at.subject.claims(one.operation) and all(one.points.keys().isdisjoint(other.points) for other in apart):
             apart.append(one)
     for poke in (poke for one in apart for poke in one.pokes):
-        await at.poke(**poke)
+        await at.device.poke(**poke)
     replies = await run.together(*(at.call(one.operation, **one.inputs) for one in apart))
-    image = await at.image()
+    image = await at.device.image()
     for reply, one in zip(replies, apart, strict=True):
         if await _never_written(at, one, reply):
             continue
@@ -381,13 +389,13 @@ async def values_are_read_beside_writes(run: Repetition, at: Rig) -> None:
     assert asks.contended is not None
     assert asks.asks_for is not None
     needed = asks.contended(run.rng)
-    if not all(at.claims(asked.operation) for asked in (needed.read, *needed.writes)):
+    if not all(at.subject.claims(asked.operation) for asked in (needed.read, *needed.writes)):
         run.not_applicable("the adapter has no operation that reads what it writes")
     await at.prove()
     for _ in range(_ROUNDS):
         one = asks.contended(run.rng)
         for poke in one.pokes:
-            await at.poke(**poke)
+            await at.device.poke(**poke)
         if one.first is not None:
             run.succeeds(await at.call(one.first.operation, **one.first.inputs), requirement="CON-004")
         writes = [at.call(write.operation, **write.inputs) for write in one.writes]
@@ -405,7 +413,7 @@ async def values_are_read_beside_writes(run: Repetition, at: Rig) -> None:
             else:
                 run.succeeds(reply, requirement="CON-004")
         run.witnessed(_linear(at, written, one.new, seen))
-        image = await at.image()
+        image = await at.device.image()
         for write, value in zip(one.writes, one.new, strict=True):
             if seen and same_json(value, seen[-1]):
                 run.witnessed(_kept(witness(at).holds(image, write.points)))
@@ -448,12 +456,12 @@ async def a_call_that_waits_holds_up_nothing(run: Repetition, at: Rig) -> None:
     Why: a device that stands still must not take the assistant's other devices, and the way to stop, away from it.
     """
     await a_read_works(run, at)
-    await at.fault(*faulty(exercise(at).reads, **silence(at)))
+    await at.device.fault(*faulty(exercise(at).reads, **silence(at)))
     held_up_s = await _held_up_s(run, at)
     if held_up_s is not None:
         # What stood still for a moment is late once; what waits for the device is late every time.
         held_up_s = await _held_up_s(run, at)
-    await at.fault()
+    await at.device.fault()
     if held_up_s is not None:
         message = f"{at.protocol}: while a call waited for the device, tools/list took {held_up_s:.1f} s, until the call had ended"
         run.finding("held_up", message, "CON-005")
@@ -466,7 +474,7 @@ async def _held_up_s(run: Repetition, at: Rig) -> float | None:
     took_s = []
 
     async def listing() -> None:
-        took_s.append(await at.listing_took_s())
+        took_s.append(await at.session.listing_took_s())
 
     waiting = await at.call_and_cancel(
         asked.operation, seen={"request": True}, timeout_s=2.0, meanwhile=listing, **asked.inputs
@@ -488,7 +496,7 @@ async def many_calls_need_few_connections(run: Repetition, at: Rig) -> None:
     for _ in range(_CONSECUTIVE[run.soak]):
         asked = exercise(at).read(run.rng)
         for poke in asked.pokes:
-            await at.poke(**poke)
+            await at.device.poke(**poke)
         replies.append(await at.call(asked.operation, **asked.inputs))
         run.succeeds(replies[-1], requirement="CON-006", **asked.outputs)
     assert asked is not None

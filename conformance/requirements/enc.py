@@ -67,7 +67,7 @@ def _wrong(reply: Reply, wanted: object, requirement: str, *, name: str = "value
 
 async def _hold(modbus: Rig, operation: str, words: list[int]) -> None:
     table = "input_registers" if operation == "read_typed_input" else "holding_registers"
-    await modbus.poke(unit=1, table=table, address=_AT, values=words)
+    await modbus.device.poke(unit=1, table=table, address=_AT, values=words)
 
 
 # -- ENC-001 ----------------------------------------------------------------------------------------------------------
@@ -83,10 +83,14 @@ async def byte_orders_are_kept(run: Repetition, modbus: Rig) -> None:
     Why: with swapped registers 1.0 is a number that looks like a measurement.
     """
     for operation in ("read_typed", "read_typed_input"):
-        orders = ORDERS if modbus.claims(operation) and modbus.accepts_input(operation, "byte_order") else ORDERS[:1]
+        orders = (
+            ORDERS
+            if modbus.subject.claims(operation) and modbus.subject.accepts_input(operation, "byte_order")
+            else ORDERS[:1]
+        )
         for kind in FORMATS:
             values = list(_numbers(run, kind))
-            if not modbus.claims(operation):
+            if not modbus.subject.claims(operation):
                 continue
             for order in orders if kind in WIDE else ORDERS[:1]:
                 for value in values:
@@ -97,7 +101,7 @@ async def byte_orders_are_kept(run: Repetition, modbus: Rig) -> None:
                         reply.outputs.get("value"), value, kind
                     ):
                         run.judge(reply, [_wrong(reply, value, "ENC-001")])
-    if modbus.claims("write_tag"):
+    if modbus.subject.claims("write_tag"):
         await _swapped_tag(run, modbus)
 
 
@@ -127,11 +131,13 @@ async def _swapped_tag(run: Repetition, modbus: Rig) -> None:
     value = run.rng.randrange(-(2**31), 2**31)
     written = await modbus.call("write_tag", name="otmcp_swapped", value=value)
     if run.succeeds(written, requirement="ENC-001"):
-        image = await modbus.image()
+        image = await modbus.device.image()
         run.witnessed(_in_registers(image, tag.address, registers(value, tag.type, tag.order), "ENC-001"))
-    if modbus.claims("read_tag"):
+    if modbus.subject.claims("read_tag"):
         value = run.rng.randrange(-(2**31), 2**31)
-        await modbus.poke(unit=1, table=tag.table, address=tag.address, values=registers(value, tag.type, tag.order))
+        await modbus.device.poke(
+            unit=1, table=tag.table, address=tag.address, values=registers(value, tag.type, tag.order)
+        )
         run.succeeds(await modbus.call("read_tag", name="otmcp_swapped"), requirement="ENC-001", value=value)
 
 
@@ -183,12 +189,14 @@ async def floats_in_registers_keep_their_bits(run: Repetition, modbus: Rig) -> N
             reply = await modbus.call("read_typed", address=_AT, type=kind)
             if exact_or_refused(run, reply, *_NOT_OFFERED, requirement="ENC-003"):
                 _judge_bits(run, reply, value, kind)
-    if modbus.claims("write_tag"):
+    if modbus.subject.claims("write_tag"):
         tag = TAGS["otmcp_float"]
         for value in list(_patterns(run, "float32"))[1:9]:
             written = await modbus.call("write_tag", name="otmcp_float", value=value)
             if run.succeeds(written, requirement="ENC-003"):
-                run.witnessed(_in_registers(await modbus.image(), tag.address, registers(value, tag.type), "ENC-003"))
+                run.witnessed(
+                    _in_registers(await modbus.device.image(), tag.address, registers(value, tag.type), "ENC-003")
+                )
 
 
 @TASKS.check("ENC-003", "Floating-point numbers keep their bits.", needs="opcua.read")
@@ -199,22 +207,22 @@ async def floats_in_nodes_keep_their_bits(run: Repetition, opcua: Rig) -> None:
     Seen: the node holds the number that was written.
     Why: a rounded value hides a drift, and never reaches a limit that it stands at.
     """
-    await opcua.poke(nodes="types")
+    await opcua.device.poke(nodes="types")
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return
     for name, kind in (("Float", "float32"), ("Double", "float64")):
         node = f"ns=2;s={name}"
         values = list(_patterns(run, kind))
         for value in values:
-            await opcua.poke(node=name, value="-0.0" if same_bits(value, -0.0, kind) else value)
+            await opcua.device.poke(node=name, value="-0.0" if same_bits(value, -0.0, kind) else value)
             reply = await opcua.call("read", node=node)
             if run.succeeds(reply, requirement="ENC-003"):
                 _judge_bits(run, reply, value, kind)
         for value in values[1:6]:
-            if opcua.claims("write"):
+            if opcua.subject.claims("write"):
                 written = await opcua.call("write", node=node, value=value)
                 if run.succeeds(written, requirement="ENC-003"):
-                    held = opcua_oracle.held(await opcua.image(), node)
+                    held = opcua_oracle.held(await opcua.device.image(), node)
                     if not same_bits(held, value, kind):
                         message = f"{node} should hold {value!r}, it holds {held!r}"
                         finding = Finding(code="device_differs", message=message, requirement="ENC-003")
@@ -231,7 +239,9 @@ async def floats_keep_their_bits(run: Repetition, at: Rig) -> None:
     Why: a rounded value hides a drift, and never reaches a limit that it stands at.
     """
     asks = exercise(at)
-    readers = {kind: read_of for kind, read_of in asks.floats.items() if at.claims(read_of(_ORDINARY).operation)}
+    readers = {
+        kind: read_of for kind, read_of in asks.floats.items() if at.subject.claims(read_of(_ORDINARY).operation)
+    }
     if not readers:
         run.not_applicable("the adapter has no operation that reads such a number")
     await a_read_works(run, at)
@@ -243,14 +253,14 @@ async def floats_keep_their_bits(run: Repetition, at: Rig) -> None:
                 if run.succeeds(reply, requirement="ENC-003"):
                     _judge_bits(run, reply, value, kind)
     assert asks.real is not None
-    if not at.claims(asks.real(_ORDINARY).operation):
+    if not at.subject.claims(asks.real(_ORDINARY).operation):
         return
     await a_write_works(run, at)
     for value in (_ORDINARY, *list(_patterns(run, "float32"))[1:6]):
         written = await _asked(at, asks.real(value))
         if not exact_or_refused(run, written, *_NOT_THERE * (value == _ORDINARY), requirement="ENC-003"):
             return
-        run.witnessed(citing("ENC-003", witness(at).holds(await at.image(), asks.real(value).points)))
+        run.witnessed(citing("ENC-003", witness(at).holds(await at.device.image(), asks.real(value).points)))
 
 
 # -- ENC-004 ----------------------------------------------------------------------------------------------------------
@@ -261,7 +271,7 @@ def _judge_special(run: Repetition, at: Rig, reply: Reply, name: str) -> None:
     if not run.succeeds(reply, requirement="ENC-004"):
         return
     found = reply.outputs.get("value")
-    if at.claims(f"{reply.operation}.special"):
+    if at.subject.claims(f"{reply.operation}.special"):
         if found is not None:
             run.judge(reply, [_wrong(reply, None, "ENC-004")])
         elif reply.outputs.get("special") != name:
@@ -287,7 +297,7 @@ async def special_numbers_in_registers(run: Repetition, modbus: Rig) -> None:
             await _hold(modbus, "read_typed", registers(value, kind))
             _judge_special(run, modbus, await modbus.call("read_typed", address=_AT, type=kind), name)
         await _reads_ordinary(run, modbus, kind)
-    if modbus.claims("write_tag"):
+    if modbus.subject.claims("write_tag"):
         for beyond in ("NaN", "Infinity", 1e39):
             reply = await modbus.call("write_tag", name="otmcp_float", value=beyond)
             run.fails(reply, *_NOT_WRITTEN, outcome=NOTHING_SENT, requirement="ENC-004")
@@ -311,7 +321,7 @@ async def special_numbers_in_nodes(run: Repetition, opcua: Rig) -> None:
     Seen: the node holds what it held.
     Why: a sensor that has failed says NaN; told as 0 it is a plant that is cold.
     """
-    await opcua.poke(nodes=["types", "special"])
+    await opcua.device.poke(nodes=["types", "special"])
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return
     for kind in ("Float", "Double"):
@@ -321,13 +331,13 @@ async def special_numbers_in_nodes(run: Repetition, opcua: Rig) -> None:
         for name in _SPECIAL:
             reply = await opcua.call("read", node=f"ns=2;s={kind}.{name.replace('-', 'Minus')}")
             _judge_special(run, opcua, reply, name)
-        if not opcua.claims("write"):
+        if not opcua.subject.claims("write"):
             continue
-        before = opcua_oracle.held(await opcua.image(), f"ns=2;s={kind}")
+        before = opcua_oracle.held(await opcua.device.image(), f"ns=2;s={kind}")
         for text in ("NaN", "nan", "Infinity"):
             reply = await opcua.call("write", node=f"ns=2;s={kind}", value=text)
             run.fails(reply, *_NOT_WRITTEN, outcome=(*NOTHING_SENT, "rejected"), requirement="ENC-004")
-        run.witnessed(opcua_oracle.image_holds(await opcua.image(), f"ns=2;s={kind}", before))
+        run.witnessed(opcua_oracle.image_holds(await opcua.device.image(), f"ns=2;s={kind}", before))
     await a_read_works(run, opcua)
 
 
@@ -376,7 +386,7 @@ async def special_numbers(run: Repetition, at: Rig) -> None:
     """
     asks = exercise(at)
     assert asks.real is not None
-    ordinary = [asked for asked in _floats(at, _ORDINARY) if at.claims(asked.operation)]
+    ordinary = [asked for asked in _floats(at, _ORDINARY) if at.subject.claims(asked.operation)]
     if not ordinary:
         run.not_applicable("the adapter has no operation that reads such a number")
     # A type that the adapter does not offer is refused in words of its own: that it is the type shows in an ordinary number of it.
@@ -391,7 +401,7 @@ async def special_numbers(run: Repetition, at: Rig) -> None:
                 _judge_special(run, at, await _asked(at, asked), name)
     await a_read_works(run, at)
     number = asks.real(0.5)
-    if at.claims(number.operation):
+    if at.subject.claims(number.operation):
         await a_write_works(run, at)
         for beyond in ("NaN", "Infinity", 1e39):
             reply = await at.call(number.operation, **{**number.inputs, "value": beyond})
@@ -407,7 +417,7 @@ def _floats(at: Rig, value: float) -> list[Asked]:
 async def _asked(at: Rig, asked: Asked) -> Reply:
     """Set what a call needs, and make it."""
     for poke in asked.pokes:
-        await at.poke(**poke)
+        await at.device.poke(**poke)
     return await at.call(asked.operation, **asked.inputs)
 
 
@@ -459,12 +469,12 @@ async def large_numbers_in_nodes(run: Repetition, opcua: Rig) -> None:
     Seen: the nodes hold these numbers.
     Why: a counter that is read by way of a floating-point number stands still, and then leaps.
     """
-    await opcua.poke(nodes="types")
+    await opcua.device.poke(nodes="types")
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return
     for kind in ("UInt64", "Int64"):
         for value in _large(run, signed=kind == "Int64"):
-            await opcua.poke(node=kind, value=value)
+            await opcua.device.poke(node=kind, value=value)
             reply = await opcua.call("read", node=f"ns=2;s={kind}")
             if run.succeeds(reply, requirement="ENC-005"):
                 _judge_large(run, reply, reply.outputs.get("value"), value, "value")
@@ -500,7 +510,7 @@ async def large_numbers(run: Repetition, at: Rig) -> None:
     large = exercise(at).large
     assert large is not None
     asked_for = [asked for signed in (False, True) for asked in large(_large(run, signed=signed), signed)]
-    offered = [asked for asked in asked_for if at.claims(asked.operation)]
+    offered = [asked for asked in asked_for if at.subject.claims(asked.operation)]
     if not offered:
         run.not_applicable("the adapter has no operation that reads such a number")
     await a_read_works(run, at)
@@ -537,7 +547,7 @@ async def payloads_arrive_as_they_are(run: Repetition, mqtt: Rig) -> None:
     Seen: a payload that was given as base64 is published as its bytes.
     Why: a payload that is no text ends the receiving thread of many a client, and with it every message to come.
     """
-    if mqtt.blocks("messages"):
+    if mqtt.subject.blocks("messages"):
         run.not_applicable("the adapter has only a call that waits for messages")
     topic = "sensors/pressure"
     run.succeeds(await mqtt.call("subscribe", filter=topic, qos=0), requirement="ENC-006")
@@ -554,7 +564,7 @@ async def payloads_arrive_as_they_are(run: Repetition, mqtt: Rig) -> None:
             shown = str(reply.outputs.get("messages"))[:200]
             message = f"{reply.label}: a message with the bytes {payload.hex()} should be there, the reply says {shown}"
             run.judge(reply, [Finding(code="wrong_value", message=message, requirement="ENC-006")])
-    if mqtt.claims("publish") and mqtt.accepts_input("publish", "encoding"):
+    if mqtt.subject.claims("publish") and mqtt.subject.accepts_input("publish", "encoding"):
         encoded = base64.b64encode(random).decode()
         reply = await mqtt.call("publish", topic="control/pump", payload=encoded, qos=1, encoding="base64")
         if run.succeeds(reply, requirement="ENC-006"):
@@ -567,7 +577,7 @@ async def payloads_arrive_as_they_are(run: Repetition, mqtt: Rig) -> None:
 def _received(mqtt: Rig, reply: Reply) -> list[bytes]:
     """Return the payloads of an answer, as bytes; what is base64 is told by its mark, or may be it where there are no marks."""
     messages = listed(reply.outputs)
-    unmarked = () if mqtt.claims("messages.encodings") else [decoded(message.payload) for message in messages]
+    unmarked = () if mqtt.subject.claims("messages.encodings") else [decoded(message.payload) for message in messages]
     return [content for content in (*(message.content for message in messages), *unmarked) if content is not None]
 
 
@@ -579,14 +589,14 @@ async def texts_of_nodes_arrive_as_they_are(run: Repetition, opcua: Rig) -> None
     Seen: the node holds the text that was written, character by character.
     Why: a text that cannot be read must not end the reading of everything else.
     """
-    await opcua.poke(nodes="types")
+    await opcua.device.poke(nodes="types")
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return
     nonce = f"{run.rng.getrandbits(32):08x}"
     for kind in ("String", "LocalizedText"):
         for text in (*_TEXTS, *_INVISIBLE, _of_length(_LONG)):
             value = text + nonce
-            await opcua.poke(node=kind, value=value)
+            await opcua.device.poke(node=kind, value=value)
             reply = await opcua.call("read", node=f"ns=2;s={kind}")
             if text in _INVISIBLE:
                 if run.succeeds(reply, requirement="ENC-006") and nonce not in str(reply.outputs.get("value")):
@@ -595,13 +605,13 @@ async def texts_of_nodes_arrive_as_they_are(run: Repetition, opcua: Rig) -> None
                 run.succeeds(reply, requirement="ENC-006", value=as_said(kind, value, reply))
     for data in (*_BYTES[:-1], run.rng.randbytes(12)):
         encoded = base64.b64encode(data).decode()
-        await opcua.poke(node="ByteString", value=encoded)
+        await opcua.device.poke(node="ByteString", value=encoded)
         run.succeeds(await opcua.call("read", node="ns=2;s=ByteString"), requirement="ENC-006", value=encoded)
-    if opcua.claims("write"):
+    if opcua.subject.claims("write"):
         for text in (*_TEXTS, _of_length(_LONG)):
             written = await opcua.call("write", node="ns=2;s=String", value=text + nonce)
             if run.succeeds(written, requirement="ENC-006"):
-                run.witnessed(_holds_text(await opcua.image(), text + nonce))
+                run.witnessed(_holds_text(await opcua.device.image(), text + nonce))
 
 
 def _holds_text(image: Any, text: str) -> list[Finding]:
@@ -626,7 +636,7 @@ async def texts_of_the_identification_arrive_as_they_are(run: Repetition, modbus
     texts = {str(number): text.strip() + nonce for number, text in enumerate(_TEXTS[:6])}
     objects = {number: base64.b64encode(text.encode()).decode() for number, text in texts.items()}
     for other in (b"text", b"\xff\x00\xfe"):
-        await modbus.poke(unit=1, identification={**objects, "6": base64.b64encode(other).decode()})
+        await modbus.device.poke(unit=1, identification={**objects, "6": base64.b64encode(other).decode()})
         reply = await modbus.call("read_device_information")
         found = reply.outputs.get("objects")
         told = {number: found.get(number) for number in texts} if isinstance(found, dict) else found
@@ -651,7 +661,7 @@ async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
     """
     texts = exercise(at).texts
     assert texts is not None
-    if not at.claims(texts.read("").operation):
+    if not at.subject.claims(texts.read("").operation):
         run.not_applicable("the adapter has no operation that reads a text")
     await a_read_works(run, at)
     nonce = f"{run.rng.getrandbits(32):08x}"
@@ -666,7 +676,7 @@ async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
         exact = text.removesuffix(nonce) not in _INVISIBLE and (text.isascii() or texts.encoding == "utf-8")
         if found != text if exact else nonce not in str(found):
             run.judge(reply, [_wrong(reply, text, "ENC-006")])
-    if at.claims(texts.write(nonce).operation):
+    if at.subject.claims(texts.write(nonce).operation):
         await _write_texts(run, at, texts, [text for text in every if text.removesuffix(nonce) not in _INVISIBLE])
 
 
@@ -686,16 +696,16 @@ async def _write_texts(run: Repetition, at: Rig, texts: Texts, every: Sequence[s
             run.witnessed(nothing_arrived(at, reply.during(await at.journal()), requirement="ENC-006"))
         elif text.isascii() or texts.encoding == "utf-8":
             run.succeeds(reply, requirement="ENC-006")
-            run.witnessed(citing("ENC-006", witness(at).holds(await at.image(), asked.points)))
+            run.witnessed(citing("ENC-006", witness(at).holds(await at.device.image(), asked.points)))
     if texts.limited:
         asked = texts.write(_of_length(texts.longest + 1))
         for poke in asked.pokes:
-            await at.poke(**poke)
-        before = await at.image()
+            await at.device.poke(**poke)
+        before = await at.device.image()
         reply = await at.call(asked.operation, **asked.inputs)
         codes = (*_NOT_WRITTEN, "limit_exceeded", "illegal_value", "unsupported_operation")
         run.fails(reply, *codes, outcome=(*NOTHING_SENT, "rejected"), requirement="ENC-006", code_requirement="ERR-002")
-        run.witnessed(citing("ENC-006", witness(at).only_changed(before, await at.image(), {})))
+        run.witnessed(citing("ENC-006", witness(at).only_changed(before, await at.device.image(), {})))
 
 
 def _of_length(length: int) -> str:
@@ -752,11 +762,11 @@ async def times_of_nodes_are_utc(run: Repetition, opcua: Rig) -> None:
             stated = _instant(reply.outputs[name])
             if stated is None or (started is not None and abs(stated - started) > _CLOCKS):
                 run.judge(reply, [_wrong(reply, f"a time in UTC, about {started}", "ENC-007", name=name)])
-    await opcua.poke(nodes=["types", "special"])
+    await opcua.device.poke(nodes=["types", "special"])
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return
     for text in (*_MOMENTS, f"2026-0{run.rng.randrange(1, 10)}-11T0{run.rng.randrange(10)}:02:03.456000+00:00"):
-        await opcua.poke(node="DateTime", value=text)
+        await opcua.device.poke(node="DateTime", value=text)
         reply = await opcua.call("read", node="ns=2;s=DateTime")
         if run.succeeds(reply, requirement="ENC-007") and _instant(reply.outputs.get("value")) != _instant(text):
             run.judge(reply, [_wrong(reply, text, "ENC-007")])

@@ -90,22 +90,22 @@ async def _read_specials(run: Repetition, at: Rig) -> None:
     # How such a value is told is a matter of ENC-004; here it only has to be JSON.
     if at.protocol == "opcua":
         for value in _SPECIAL:
-            await at.poke(node="Temperature", value=value)
+            await at.device.poke(node="Temperature", value=value)
             await at.call("read", node="ns=2;s=Temperature")
-        await at.poke(node="Temperature", value=20.0)
+        await at.device.poke(node="Temperature", value=20.0)
     elif at.protocol == "modbus":
         asked: dict[str, Any] = {"address": _FLOAT_AT, "type": "float32"}
         if not at.can_ask("read_typed", asked):
             return
         for registers in _FLOATS.values():
-            await at.poke(unit=1, table="holding_registers", address=_FLOAT_AT, values=registers)
+            await at.device.poke(unit=1, table="holding_registers", address=_FLOAT_AT, values=registers)
             await at.call("read_typed", **asked)
-    elif at.can_ask("messages", {"filter": "otmcp/#"}) and not at.blocks("messages"):
+    elif at.can_ask("messages", {"filter": "otmcp/#"}) and not at.subject.blocks("messages"):
         filter_ = f"otmcp/strict/{run.rng.getrandbits(32):08x}"
         run.succeeds(await at.call("subscribe", filter=filter_, qos=0))
         # A quotation mark, a backslash, a line break, and bytes that are no text.
         for payload in ("YSJiXGMKZA==", "/wD+", "TmFO"):
-            await at.poke(publish={"topic": filter_, "payload": payload, "qos": 0, "retain": False})
+            await at.device.poke(publish={"topic": filter_, "payload": payload, "qos": 0, "retain": False})
         await at.call("messages", filter=filter_)
 
 
@@ -123,9 +123,9 @@ async def latency_is_measured(run: Repetition, at: Rig) -> None:
     needs_envelopes(run, at)
     await a_read_works(run, at)
     for seconds in _DELAYS_S:
-        await at.delay(seconds)
+        await at.device.delay(seconds)
         await a_read_works(run, at)
-        await at.delay(0)
+        await at.device.delay(0)
 
 
 @TASKS.every_protocol("ENV-005", "The stated attempts are the requests that were sent.", writes=True, prompt=True)
@@ -161,9 +161,9 @@ async def attempts_are_counted(run: Repetition, at: Rig) -> None:
 
 
 async def _interrupted_read(run: Repetition, at: Rig) -> None:
-    await at.fault(*({**rule, "times": 1} for rule in exercise(at).reset))
+    await at.device.fault(*({**rule, "times": 1} for rule in exercise(at).reset))
     asked, reply = await read(run, at)
-    await at.fault()
+    await at.device.fault()
     # A read may be repeated over a new connection; the device has seen both requests.
     if reply.success:
         run.succeeds(reply, **asked.outputs)
@@ -248,15 +248,15 @@ async def the_source_is_told(run: Repetition, at: Rig) -> None:
     needs_envelopes(run, at)
     asked = exercise(at).read(run.rng)
     for poke in asked.pokes:
-        await at.poke(**poke)
+        await at.device.poke(**poke)
     for _ in range(2):
         run.succeeds(await at.call(asked.operation, **asked.inputs), **asked.outputs)
     await a_write_works(run, at)
     await refused_by_the_adapter(run, at)
     await _one_shape(run, at)
-    await at.fault(*exercise(at).reset)
+    await at.device.fault(*exercise(at).reset)
     gone = await at.call(asked.operation, **asked.inputs)
-    await at.fault()
+    await at.device.fault()
     # An adapter may get at its data in another way, by which the device can still be reached.
     if await met(at, gone):
         run.fails(gone, *CONNECTION_FAULTS, requirement="ENV-008", code_requirement="ERR-005")
@@ -269,7 +269,7 @@ async def _one_shape(run: Repetition, at: Rig) -> None:
         return
     for count in (1, 3):
         values = [run.rng.randrange(0x10000) for _ in range(count)]
-        await at.poke(unit=1, table="holding_registers", address=_FLOAT_AT, values=values)
+        await at.device.poke(unit=1, table="holding_registers", address=_FLOAT_AT, values=values)
         run.succeeds(
             await at.call("read_holding", address=_FLOAT_AT, count=count), requirement="ENV-008", values=values
         )

@@ -151,9 +151,9 @@ async def _has_code(
     requirement: str,
 ) -> None:
     """Read or write while the device answers by these rules, and expect the code that belongs to the answer."""
-    await at.fault(*rules)
+    await at.device.fault(*rules)
     _, reply = await step(run, at)
-    await at.fault()
+    await at.device.fault()
     if not await met(at, reply):
         # An adapter may get at its data in another way, which the device did not refuse.
         return
@@ -179,7 +179,7 @@ async def refusals_have_their_code(run: Repetition, mqtt: Rig) -> None:
     """
     await a_read_works(run, mqtt)
     # The version is in the CONNECT of the connection that is made now.
-    await mqtt.poke(disconnect={"client_id": None, "reason_code": _SHUTTING_DOWN})
+    await mqtt.device.poke(disconnect={"client_id": None, "reason_code": _SHUTTING_DOWN})
     await answers_again(run, mqtt)
     modern = await _speaks_mqtt_5(mqtt)
     known = wire_codes("pytest_otmcp.protocols.mqtt")
@@ -190,7 +190,7 @@ async def refusals_have_their_code(run: Repetition, mqtt: Rig) -> None:
         rules = [{"packet": "SUBSCRIBE", "action": {"reason_code": code.value}}]
         await _has_code(run, mqtt, rules, read, code, {"reason_code": code.value}, "ERR-004")
     await a_read_works(run, mqtt)
-    if mqtt.claims("recovery") and mqtt.reconnects:
+    if mqtt.subject.claims("recovery") and mqtt.subject.reconnects:
         table = [known[str(number)] for number in _CONNACK_5] if modern else _connack()
         for code in table:
             await _refused_client(run, mqtt, code)
@@ -207,10 +207,10 @@ async def _speaks_mqtt_5(mqtt: Rig) -> bool:
 
 
 async def _refused_client(run: Repetition, mqtt: Rig, code: WireCode) -> None:
-    await mqtt.fault({"packet": "CONNECT", "action": {"reason_code": code.value}})
-    await mqtt.poke(disconnect={"client_id": None, "reason_code": _SHUTTING_DOWN})
+    await mqtt.device.fault({"packet": "CONNECT", "action": {"reason_code": code.value}})
+    await mqtt.device.poke(disconnect={"client_id": None, "reason_code": _SHUTTING_DOWN})
     _, reply = await read(run, mqtt)
-    await mqtt.fault()
+    await mqtt.device.fault()
     told = [entry for entry in reply.during(await mqtt.journal()) if entry["kind"] == "CONNACK"]
     # An adapter that waits before it connects again was not refused during this call.
     codes = code.codes if told else (*code.codes, "connect_failed", "connection_lost")
@@ -234,24 +234,24 @@ async def connections_fail_in_three_ways(run: Repetition, at: Rig) -> None:
         run.not_applicable("datagrams have no connection that is refused or reset: silence is all that there is")
     await a_read_works(run, at)
     codes: list[str | None] = []
-    await at.fault(*({**rule, "times": 1} for rule in exercise(at).reset))
+    await at.device.fault(*({**rule, "times": 1} for rule in exercise(at).reset))
     _, reset = await write(run, at)
-    await at.fault()
+    await at.device.fault()
     if not reset.success:
         # Some find out only when their time is over.
         run.fails(reset, "connection_lost", "timeout", outcome="unknown", requirement="ERR-005")
         codes.append(reset.error_code)
     await answers_again(run, at)
     # Each request is in the journal before its connection dies: nothing that the adapter has said is unknown to the device.
-    await at.fault(*faulty(exercise(at).reads, half_open=True))
+    await at.device.fault(*faulty(exercise(at).reads, half_open=True))
     _, silent = await read(run, at)
-    await at.fault()
+    await at.device.fault()
     # Whoever makes a connection for the call may not get as far as its request.
     made = any(entry["kind"] == "CONNECTED" for entry in silent.during(await at.journal()))
     run.fails(silent, "timeout", "connection_lost", *(["connect_failed"] if made else []), requirement="ERR-005")
     codes.append(silent.error_code)
     await answers_again(run, at)
-    if at.reconnects:
+    if at.subject.reconnects:
         codes.append(await _refused_connection(run, at))
     known = [code for code in codes if code in registry()]
     if len(known) == _TIMES and len(set(known)) == 1:
@@ -295,9 +295,9 @@ async def outcomes_are_true(run: Repetition, at: Rig, guarded: Rig) -> None:
     for rig, reply, otherwise in ((guarded, denied, "WR-004"), (at, refused, "WR-010")):
         if reply is not None:
             run.witnessed(_not_arrived(rig, reply, _since(await rig.journal(), reply), otherwise))
-    await at.fault(*({**rule, "times": 1} for rule in exercise(at).reset))
+    await at.device.fault(*({**rule, "times": 1} for rule in exercise(at).reset))
     asked, lost = await write(run, at)
-    await at.fault()
+    await at.device.fault()
     if not lost.success:
         # What an adapter tells the device of itself may have met the fault first, and the write never left.
         arrived = exercise(at).done(_since(await at.journal(), lost), asked)
@@ -309,7 +309,7 @@ async def outcomes_are_true(run: Repetition, at: Rig, guarded: Rig) -> None:
 
 
 async def _away(run: Repetition, at: Rig) -> None:
-    if not at.reconnects:
+    if not at.subject.reconnects:
         return
     await at.prove()
     await at.stop_device()
@@ -352,7 +352,7 @@ async def validation_comes_first(run: Repetition, at: Rig) -> None:
     if there is None:
         run.not_applicable(f"{exercise(at).writing} is not performed by one tool call")
     run.fails(there, *VALIDATION, outcome=NOTHING_SENT, requirement="ERR-007")
-    if at.reconnects:
+    if at.subject.reconnects:
         await at.prove()
         await at.stop_device()
         gone = await wrongly_asked(run, at)
@@ -380,15 +380,15 @@ async def items_fail_alone(run: Repetition, opcua: Rig) -> None:
     """
     values = [round(run.rng.uniform(0.0, 100.0), 6) for _ in _NODES]
     for node, value in zip(_NODES, values, strict=True):
-        await opcua.poke(node=node.rpartition("=")[2], value=value)
+        await opcua.device.poke(node=node.rpartition("=")[2], value=value)
     run.succeeds(await opcua.call("read_many", nodes=list(_NODES)), values=values)
     twice = await opcua.call("read_many", nodes=[_NODES[0], _NODES[0], _NODES[1]])
     run.succeeds(twice, requirement="ERR-008", values=[values[0], *values])
-    missing = opcua.probe("missing_node")
+    missing = opcua.subject.probe("missing_node")
     mixed = await opcua.call("read_many", nodes=[_NODES[0], missing, _NODES[1]])
     # Who looks at the nodes before reading any may refuse the whole.
     run.fails(mixed, "partial_failure", "illegal_address", "invalid_input", requirement="ERR-008")
-    if opcua.native and mixed.error_code == "partial_failure":
+    if opcua.subject.native and mixed.error_code == "partial_failure":
         partial = mixed.member("data", "partial")
         lost = [value for value in values if not _holds(partial, value)]
         if lost:

@@ -31,7 +31,7 @@ async def no_secret_is_told(run: Repetition, at: Rig) -> None:
         await at.call_altered(asked.operation, Alteration(given={UNKNOWN_ARGUMENT: 7}), role="control", **asked.inputs)
     await refused_by_the_device(run, at, requirement="ERR-001")
     await _lose_the_connection(run, at)
-    if at.reconnects:
+    if at.subject.reconnects:
         await _start_without_the_device(run, at)
     await a_read_works(run, at)
 
@@ -39,11 +39,11 @@ async def no_secret_is_told(run: Repetition, at: Rig) -> None:
 async def _lose_the_connection(run: Repetition, at: Rig) -> None:
     """Read while the device resets the connection, and refuses the account of the adapter that connects again."""
     asks = exercise(at)
-    await at.fault(*({**rule, "times": 1} for rule in faulty(asks.reads, **reset(at))), *asks.unauthorised)
+    await at.device.fault(*({**rule, "times": 1} for rule in faulty(asks.reads, **reset(at))), *asks.unauthorised)
     for _ in range(2 if asks.unauthorised else 1):
         asked = asks.read(run.rng)
         await at.call(asked.operation, role="control", **asked.inputs)
-    await at.fault()
+    await at.device.fault()
     await answers_again(run, at)
 
 

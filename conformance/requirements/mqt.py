@@ -55,26 +55,26 @@ async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
         await _commands_are_acknowledged(run, mqtt)
         return
     for qos in _every_qos(mqtt):
-        await mqtt.fault({"packet": "PUBLISH", "action": {"delay_s": _LATE_S}})
+        await mqtt.device.fault({"packet": "PUBLISH", "action": {"delay_s": _LATE_S}})
         payload, reply = await _publish(run, mqtt, qos)
-        await mqtt.fault()
+        await mqtt.device.fault()
         run.succeeds(reply, requirement="MQT-001")
         run.witnessed(_acknowledged(reply, await mqtt.journal(), payload))
-        await _arrives(run, mqtt, reply, payload, qos=mqtt.expected_if_accepted("publish", "qos", qos))
+        await _arrives(run, mqtt, reply, payload, qos=mqtt.subject.expected_if_accepted("publish", "qos", qos))
         await _unacknowledged(
             run, mqtt, qos, {"packet": "PUBREL" if qos == 2 else "PUBLISH", "action": {"reset": True}}
         )
     await _unacknowledged(run, mqtt, 1, {"packet": "PUBLISH", "action": {"no_answer": True}})
-    if mqtt.claims("recovery"):
+    if mqtt.subject.claims("recovery"):
         await _nobody_is_there(run, mqtt)
 
 
 async def _commands_are_acknowledged(run: Repetition, mqtt: Rig) -> None:
     for action in ({"delay_s": _LATE_S}, {"reset": True}, {"no_answer": True}):
-        await mqtt.fault({"packet": "PUBLISH", "action": action})
+        await mqtt.device.fault({"packet": "PUBLISH", "action": action})
         asked = some_command(run, mqtt)
         reply = await mqtt.call(asked.operation, **asked.inputs)
-        await mqtt.fault()
+        await mqtt.device.fault()
         entries = await mqtt.journal()
         for message in exercise(mqtt).done(since(reply, entries), asked)[:1]:
             run.witnessed(_acknowledged(reply, entries, payload_of(message)))
@@ -90,7 +90,7 @@ async def _commands_are_acknowledged(run: Repetition, mqtt: Rig) -> None:
 
 
 def _every_qos(mqtt: Rig) -> tuple[int, ...]:
-    if not mqtt.accepts_input("publish", "qos"):
+    if not mqtt.subject.accepts_input("publish", "qos"):
         return (1,)
     return tuple(qos for qos in (1, 2) if mqtt.excess("publish", topic=_PUMP, payload="", qos=qos) is None)
 
@@ -128,16 +128,16 @@ async def _arrives(
             payload=payload,
             qos=qos,
             retain=retain,
-            declared=mqtt.declared,
+            declared=mqtt.subject.declared,
         )
     )
 
 
 async def _unacknowledged(run: Repetition, mqtt: Rig, qos: int, rule: Mapping[str, object]) -> None:
     """Publish while the broker does not acknowledge; then it does again."""
-    await mqtt.fault(rule)
+    await mqtt.device.fault(rule)
     payload, reply = await _publish(run, mqtt, qos)
-    await mqtt.fault()
+    await mqtt.device.fault()
     run.witnessed(_acknowledged(reply, await mqtt.journal(), payload))
     if not reply.success:
         run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
@@ -145,7 +145,7 @@ async def _unacknowledged(run: Repetition, mqtt: Rig, qos: int, rule: Mapping[st
         operation="publish", inputs={"topic": _PUMP, "payload": f"again-{nonce(run)}", "qos": 0}
     )
     for poke in asked.pokes:
-        await mqtt.poke(**poke)
+        await mqtt.device.poke(**poke)
     await until_it_works(run, mqtt, asked.operation, **asked.inputs)
 
 
@@ -157,7 +157,7 @@ async def _nobody_is_there(run: Repetition, mqtt: Rig) -> None:
     run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
     await mqtt.start_device()
     asked: dict[str, Any] = {"topic": _PUMP, "payload": f"back-{nonce(run)}", "qos": 0}
-    replies = await mqtt.call_until_success("publish", window_s=mqtt.recovery_s, **asked)
+    replies = await mqtt.call_until_success("publish", window_s=mqtt.subject.recovery_s, **asked)
     run.succeeds(replies[-1], requirement="REC-001")
 
 
@@ -175,33 +175,33 @@ async def a_subscription_is_granted(run: Repetition, mqtt: Rig) -> None:
     Why: who waits for the alarms of a subscription that was refused takes the silence for good news.
     """
     refused, lower, silent = (f"otmcp/{nonce(run)}" for _ in range(3))
-    await mqtt.fault({"packet": "SUBSCRIBE", "topic": refused, "action": {"reason_code": 0x80}})
+    await mqtt.device.fault({"packet": "SUBSCRIBE", "topic": refused, "action": {"reason_code": 0x80}})
     reply = await mqtt.call("subscribe", filter=refused, qos=0)
     run.fails(reply, "access_denied", "device_failure", requirement="MQT-002", code_requirement="ERR-001")
     await _is_not_listed(run, mqtt, refused)
-    await mqtt.fault()
+    await mqtt.device.fault()
     run.succeeds(await mqtt.call("subscribe", filter=refused, qos=0))
     run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted(refused, qos=None))
     payload = nonce(run).encode()
     await publish_from_kit(mqtt, refused, payload)
     await mqtt.wait_for(kind="PUBLISH", direction="out", topic=refused, timeout_s=1.0)
     run.witnessed(citing("MQT-002", oracle.delivered(await mqtt.journal(), topic=refused, payload=payload)))
-    if mqtt.accepts_input("subscribe", "qos"):
-        await mqtt.fault({"packet": "SUBSCRIBE", "topic": lower, "action": {"reason_code": 0}})
+    if mqtt.subject.accepts_input("subscribe", "qos"):
+        await mqtt.device.fault({"packet": "SUBSCRIBE", "topic": lower, "action": {"reason_code": 0}})
         run.succeeds(await mqtt.call("subscribe", filter=lower, qos=1), granted_qos=0)
-    if mqtt.claims("unsubscribe"):
+    if mqtt.subject.claims("unsubscribe"):
         run.succeeds(await mqtt.call("unsubscribe", filter=refused))
         run.witnessed((await mqtt.follow(oracle.Subscriptions)).ended(refused))
-    await mqtt.fault({"packet": "SUBSCRIBE", "topic": silent, "action": {"no_answer": True}})
+    await mqtt.device.fault({"packet": "SUBSCRIBE", "topic": silent, "action": {"no_answer": True}})
     reply = await mqtt.call("subscribe", filter=silent, qos=0)
-    await mqtt.fault()
+    await mqtt.device.fault()
     run.fails(reply, *CONNECTION_FAULTS, requirement="MQT-002", code_requirement="ERR-005")
     await until_it_works(run, mqtt, "subscribe", filter=silent, qos=0)
 
 
 async def _is_not_listed(run: Repetition, mqtt: Rig, refused: str) -> None:
     """Expect that a refused filter is not among the subscriptions, unless it is said not to be active."""
-    if not mqtt.claims("subscriptions"):
+    if not mqtt.subject.claims("subscriptions"):
         return
     reply = await mqtt.call("subscriptions")
     if not run.succeeds(reply):
@@ -241,17 +241,21 @@ async def a_message_arrives_as_it_was_asked_for(run: Repetition, mqtt: Rig) -> N
         await _publishes(run, mqtt, *_allowed(mqtt, payload, qos))
     payload = f"capitals-{nonce(run)}"
     await _publishes(run, mqtt, payload, payload.encode(), topic=_CAPITALS)
-    if mqtt.accepts_input("publish", "encoding"):
+    if mqtt.subject.accepts_input("publish", "encoding"):
         binary = run.rng.randbytes(8) + bytes(reversed(range(256)))
         while mqtt.excess("publish", topic=_PUMP, payload=base64.b64encode(binary).decode()) and len(binary) > 1:
             binary = binary[: len(binary) // 2]
         await _publishes(run, mqtt, base64.b64encode(binary).decode(), binary, encoding="base64")
-    if mqtt.accepts_input("publish", "retain"):
+    if mqtt.subject.accepts_input("publish", "retain"):
         for retain in (True, False):
             payload = f"retain-{nonce(run)}"
             await _publishes(run, mqtt, payload, payload.encode(), retain=retain)
-        await mqtt.poke(publish={"topic": _PUMP, "payload": "", "retain": True})
-    if mqtt.claims("messages.retained") and mqtt.claims("subscribe") and not mqtt.blocks("messages"):
+        await mqtt.device.poke(publish={"topic": _PUMP, "payload": "", "retain": True})
+    if (
+        mqtt.subject.claims("messages.retained")
+        and mqtt.subject.claims("subscribe")
+        and not mqtt.subject.blocks("messages")
+    ):
         await _flags_what_was_retained(run, mqtt)
 
 
@@ -278,7 +282,7 @@ async def _publishes(
     asked: dict[str, Any] = {"retain": True} if retain else {}
     reply = await mqtt.call("publish", topic=topic, payload=payload, qos=qos, **asked, **inputs)
     run.succeeds(reply, topic=topic)
-    accepted = mqtt.expected_if_accepted("publish", "qos", qos)
+    accepted = mqtt.subject.expected_if_accepted("publish", "qos", qos)
     await _arrives(run, mqtt, reply, expected, qos=accepted, retain=retain, topic=topic)
 
 
@@ -286,12 +290,12 @@ async def _flags_what_was_retained(run: Repetition, mqtt: Rig) -> None:
     topic = f"otmcp/{nonce(run)}"
     kept, fresh = nonce(run), nonce(run)
     encoded = base64.b64encode(kept.encode()).decode()
-    await mqtt.poke(publish={"topic": topic, "payload": encoded, "retain": True})
+    await mqtt.device.poke(publish={"topic": topic, "payload": encoded, "retain": True})
     run.succeeds(await mqtt.call("subscribe", filter=topic, qos=0))
     await publish_from_kit(mqtt, topic, fresh.encode())
     await sync_point(run, mqtt, topic)
     reply = await mqtt.call("messages", filter=topic)
-    await mqtt.poke(publish={"topic": topic, "payload": "", "retain": True})
+    await mqtt.device.poke(publish={"topic": topic, "payload": "", "retain": True})
     if not run.succeeds(reply):
         return
     flags = reply.outputs.get("retained")
@@ -322,7 +326,7 @@ async def what_a_wildcard_brought_can_be_read(run: Repetition, mqtt: Rig) -> Non
         run.not_applicable(
             "the messages that the subject returns have no topics: what a wildcard brought cannot be told apart"
         )
-    if mqtt.blocks("messages"):
+    if mqtt.subject.blocks("messages"):
         await collect(run, mqtt, {f"otmcp/{name}/#": (f"otmcp/{name}/a", nonce(run)) for name in (nonce(run),)})
         return
     # Messages that earlier checks have left would be dropped, and counted, as well.
@@ -345,7 +349,7 @@ async def what_a_wildcard_brought_can_be_read(run: Repetition, mqtt: Rig) -> Non
         if run.succeeds(reply):
             run.judge(reply, _read_back(reply, sent))
     await _bytes_are_kept(run, mqtt, base)
-    if mqtt.claims("messages.dropped"):
+    if mqtt.subject.claims("messages.dropped"):
         await _what_is_lost_is_counted(run, mqtt, base)
 
 
@@ -392,7 +396,7 @@ async def _what_is_lost_is_counted(run: Repetition, mqtt: Rig, base: str) -> Non
     before = await mqtt.call("messages", filter=topic)
     if not run.succeeds(before):
         return
-    await mqtt.poke(burst={"topic": topic, "count": _BURST, "brief": True})
+    await mqtt.device.poke(burst={"topic": topic, "count": _BURST, "brief": True})
     bursts = [one for one in adapter_packets(await mqtt.journal(), "BURST", "out") if one["topic"] == topic]
     # An adapter with several connections may have been sent them more than once, one whose connection ended not all of them.
     sent = min(_BURST, sum(one["count"] for one in bursts))

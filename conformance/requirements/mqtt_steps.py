@@ -62,7 +62,7 @@ async def until(mqtt: Rig, there: Callable[[Entries], bool], *, timeout_s: float
 async def until_it_works(run: Repetition, mqtt: Rig, operation: str, **inputs: Any) -> Reply:
     """Perform an operation after the broker has cut the connection: again with each new connection of the adapter, or after a
     while, for as long as the subject says that it takes to come back. Return the last reply; it has to be a success."""
-    for _ in range(1 + int(mqtt.recovery_s / _WAKING_S)):
+    for _ in range(1 + int(mqtt.subject.recovery_s / _WAKING_S)):
         count = len(adapter_packets(await mqtt.journal(), "CONNECTED"))
         reply = await mqtt.call(operation, role="recovery", **inputs)
         if reply.success:

@@ -62,7 +62,7 @@ async def _knows(opcua: Rig, node: str) -> bool:
 
     An adapter with a list of nodes of its own refuses it without asking: then nothing that needs added nodes can be judged.
     """
-    if not opcua.claims("read"):
+    if not opcua.subject.claims("read"):
         return True
     reply = await opcua.call("read", node=node)
     return not _not_in_its_list(reply, reply.during(await opcua.journal()), node)
@@ -87,7 +87,7 @@ async def every_type_is_written_as_itself(run: Repetition, opcua: Rig) -> None:
     """
     await opcua.prove()
     every = every_type(run.rng)
-    await opcua.poke(create=[typed.created(typed.values[0]) for typed in every])
+    await opcua.device.poke(create=[typed.created(typed.values[0]) for typed in every])
     if not await _knows(opcua, every[0].node):
         return
     for typed in every:
@@ -146,7 +146,7 @@ async def the_severity_is_respected(run: Repetition, opcua: Rig) -> None:
 async def _poked(run: Repetition, opcua: Rig, status: str | int) -> float:
     """Give the temperature a random value with this status, and return it."""
     value = round(run.rng.uniform(-50.0, 150.0), 6)
-    await opcua.poke(node="Temperature", value=value, status=status)
+    await opcua.device.poke(node="Temperature", value=value, status=status)
     return value
 
 
@@ -164,8 +164,8 @@ async def values_are_typed_json(run: Repetition, opcua: Rig) -> None:
     """
     every = [*every_type(run.rng), *further_types(run.rng)]
     low, body = round(run.rng.uniform(-99.0, 0.0), 3), run.rng.randbytes(9)
-    await opcua.poke(create=[typed.created(typed.values[-1]) for typed in every])
-    await opcua.poke(create=_odd_variables(low, body))
+    await opcua.device.poke(create=[typed.created(typed.values[-1]) for typed in every])
+    await opcua.device.poke(create=_odd_variables(low, body))
     if not await _knows(opcua, every[0].node):
         return
     for typed in every:
@@ -229,7 +229,7 @@ async def _times_are_the_servers(run: Repetition, opcua: Rig) -> None:
     for there in ((True, True), (True, False), (False, True), (False, False)):
         value = round(run.rng.uniform(-50.0, 150.0), 6)
         times = {name: moment_text(run.rng) if has else None for name, has in zip(_TIMES, there, strict=True)}
-        await opcua.poke(node="Temperature", value=value, **times)
+        await opcua.device.poke(node="Temperature", value=value, **times)
         reply = await opcua.call("read", node=_TEMPERATURE)
         if run.succeeds(reply, requirement="OUA-003", value=value):
             run.judge(reply, _told_times(reply, times))
@@ -266,7 +266,7 @@ def _shaped(rng: random.Random) -> dict[str, Any]:
 
 async def _create_arrays(opcua: Rig, held: Mapping[str, Any]) -> None:
     dimensions = {_FIXED: [3], _MATRIX: [2, 3]}
-    await opcua.poke(
+    await opcua.device.poke(
         create=[
             {"variable": name, "type": "Int32", "value": value, "dimensions": dimensions.get(name, [])}
             for name, value in held.items()
@@ -292,7 +292,7 @@ async def arrays_keep_their_shape(run: Repetition, opcua: Rig) -> None:
         reply = await opcua.call("read", node=f"ns=2;s={name}")
         if run.succeeds(reply, requirement="OUA-004") and "value" in reply.outputs:
             run.judge(reply, _told_shape(reply, value))
-    if opcua.claims("write"):
+    if opcua.subject.claims("write"):
         await _shapes_are_kept(run, opcua)
 
 
@@ -313,7 +313,7 @@ def _has(place: object, wanted: object) -> bool:
 
 async def _shapes_are_kept(run: Repetition, opcua: Rig) -> None:
     await opcua.prove()
-    before = await opcua.image()
+    before = await opcua.device.image()
     written = _shaped(run.rng)
     # A node without ArrayDimensions holds arrays of any length.
     written[_VECTOR] = _numbers(run.rng, 5)
@@ -323,7 +323,7 @@ async def _shapes_are_kept(run: Repetition, opcua: Rig) -> None:
         reply = await opcua.call("write", node=f"ns=2;s={name}", value=value)
         await refused_before_the_wire(run, opcua, reply, "type_mismatch", "invalid_input", requirement="OUA-004")
     expected = {f"ns=2;s={name}": value for name, value in written.items()}
-    run.witnessed(_about("OUA-004", oracle.only_changed(before, await opcua.image(), expected)))
+    run.witnessed(_about("OUA-004", oracle.only_changed(before, await opcua.device.image(), expected)))
 
 
 def _other_shapes(rng: random.Random) -> list[tuple[str, Any]]:
@@ -361,18 +361,18 @@ async def the_value_alone_is_written(run: Repetition, opcua: Rig) -> None:
     await opcua.prove()
     names = {name: run.rng.randrange(1, 100) / 4 for name in ("Otmcp.ReadOnly", "Otmcp.Denied", "Otmcp.Writable")}
     access = dict(zip(names, ("read", "denied_writing", "read_write"), strict=True))
-    await opcua.poke(
+    await opcua.device.poke(
         create=[{"variable": name, "type": "Double", "value": names[name], "access": access[name]} for name in names]
     )
-    before = await opcua.image()
+    before = await opcua.device.image()
     if await _knows(opcua, "ns=2;s=Otmcp.ReadOnly"):
         for name, code in (("Otmcp.ReadOnly", "not_writable"), ("Otmcp.Denied", "access_denied")):
             await _is_refused(run, opcua, f"ns=2;s={name}", code)
     for status, code in (("BadNotWritable", "not_writable"), ("BadUserAccessDenied", "access_denied")):
-        await opcua.fault({"service": "Write", "action": {"status": status}})
+        await opcua.device.fault({"service": "Write", "action": {"status": status}})
         await _is_refused(run, opcua, _VALVE, code)
-    await opcua.fault()
-    run.witnessed(_about("OUA-005", oracle.only_changed(before, await opcua.image(), {})))
+    await opcua.device.fault()
+    run.witnessed(_about("OUA-005", oracle.only_changed(before, await opcua.device.image(), {})))
     await _nothing_comes_with_it(run, opcua)
 
 
@@ -383,10 +383,10 @@ async def _is_refused(run: Repetition, opcua: Rig, node: str, code: str) -> None
 
 async def _nothing_comes_with_it(run: Repetition, opcua: Rig) -> None:
     """Write while the server refuses what comes with a status or a timestamp. A client may write a timestamp, so that is a warning."""
-    await opcua.fault({"service": "Write", "action": {"refuse_timestamps": True, "refuse_status": True}})
+    await opcua.device.fault({"service": "Write", "action": {"refuse_timestamps": True, "refuse_status": True}})
     value = round(run.rng.uniform(1.0, 99.0), 3)
     reply = await opcua.call("write", node=_VALVE, value=value)
-    await opcua.fault()
+    await opcua.device.fault()
     entries = reply.during(await opcua.journal())
     with_it = oracle.written_with(entries)
     run.witnessed(with_it)
@@ -423,18 +423,18 @@ async def browsing_is_complete(run: Repetition, opcua: Rig) -> None:
     Seen: no continuation point is left open.
     Why: an empty list says that a folder has nothing in it, not that there is no such folder; the first page looks like the whole plant, a circle like a plant without end, and a server has few continuation points.
     """
-    if opcua.claims("variables"):
+    if opcua.subject.claims("variables"):
         await _circles_come_to_an_end(run, opcua)
-    missing = await opcua.call("browse", node=opcua.probe("missing_node"))
+    missing = await opcua.call("browse", node=opcua.subject.probe("missing_node"))
     run.fails(missing, "illegal_address", "invalid_input", requirement="OUA-006", code_requirement="ERR-003")
     folder = "ns=2;s=Wide.Folder"
-    await opcua.poke(nodes="wide")
+    await opcua.device.poke(nodes="wide")
     wanted = {"ns=2;s=Wide", *(f"ns=2;s=Wide{number}" for number in range(1, _CHILDREN))}
     if run.soak:
         more = {"variable": "More", "in": "Wide.Folder", "type": "Int32", "value": 0, "copies": _MORE - 1}
-        await opcua.poke(create=[more])
+        await opcua.device.poke(create=[more])
         wanted |= {"ns=2;s=More", *(f"ns=2;s=More{number}" for number in range(1, _MORE))}
-    await opcua.poke(limits={"references_per_node": _PAGE})
+    await opcua.device.poke(limits={"references_per_node": _PAGE})
     reply = await opcua.call("browse", node=folder)
     seen = reply.during(await opcua.journal())
     if _not_in_its_list(reply, seen, folder):
@@ -445,14 +445,16 @@ async def browsing_is_complete(run: Repetition, opcua: Rig) -> None:
 
 
 async def _circles_come_to_an_end(run: Repetition, opcua: Rig) -> None:
-    await opcua.poke(nodes="cycle")
-    await opcua.poke(create=[{"variable": "Otmcp.Row", "in": "CycleC", "type": "Int32", "value": 0, "copies": 119}])
-    await opcua.poke(
+    await opcua.device.poke(nodes="cycle")
+    await opcua.device.poke(
+        create=[{"variable": "Otmcp.Row", "in": "CycleC", "type": "Int32", "value": 0, "copies": 119}]
+    )
+    await opcua.device.poke(
         limits={"nodes_per_browse": _MOST_NODES, "nodes_per_read": _MOST_NODES, "references_per_node": _MOST_NODES}
     )
-    image: Image = await opcua.image()
+    image: Image = await opcua.device.image()
     reply = await opcua.call("variables")
-    await opcua.poke(limits={"nodes_per_browse": 0, "nodes_per_read": 0, "references_per_node": 0})
+    await opcua.device.poke(limits={"nodes_per_browse": 0, "nodes_per_read": 0, "references_per_node": 0})
     if run.succeeds(reply, requirement="OUA-006"):
         wanted = set(image["variables"])
         run.judge(reply, oracle.listed_once(reply.outputs.get("node_ids"), wanted, part=_truncated(reply)))
@@ -474,20 +476,22 @@ async def what_became_of_a_write_is_told(run: Repetition, opcua: Rig) -> None:
     """
     await opcua.prove()
     asked, taken, later = (round(run.rng.uniform(low, low + 30.0), 3) for low in (60.0, 20.0, 20.0))
-    await opcua.fault({"service": "Write", "action": {"clamp": taken}})
+    await opcua.device.fault({"service": "Write", "action": {"clamp": taken}})
     clamped = await opcua.call("write", node=_VALVE, value=asked)
-    held = oracle.held(await opcua.image(), _VALVE)
+    held = oracle.held(await opcua.device.image(), _VALVE)
     run.succeeds(clamped, requirement="OUA-007", clamped=True, value=held)
-    await opcua.fault({"service": "Write", "action": {"ack_only": True, "with_status": "GoodCompletesAsynchronously"}})
+    await opcua.device.fault(
+        {"service": "Write", "action": {"ack_only": True, "with_status": "GoodCompletesAsynchronously"}}
+    )
     pending = await opcua.call("write", node=_VALVE, value=later)
-    await opcua.fault()
+    await opcua.device.fault()
     run.succeeds(pending, requirement="OUA-007", verified=False)
     value = round(run.rng.uniform(1.0, 99.0), 3)
     done = await opcua.call("write", node=_VALVE, value=value)
     run.succeeds(done, requirement="OUA-007", value=value)
     if done.outputs.get("clamped") is True:
         run.judge(done, [_wrong(done, "OUA-007", "clamped to be false for a value that the server took", True)])
-    run.witnessed(_about("OUA-007", oracle.image_holds(await opcua.image(), _VALVE, value)))
+    run.witnessed(_about("OUA-007", oracle.image_holds(await opcua.device.image(), _VALVE, value)))
 
 
 # -- OUA-008 ------------------------------------------------------------------------------------------------
@@ -512,7 +516,7 @@ async def methods_are_called_as_declared(run: Repetition, opcua: Rig, opcua_ro: 
     Why: a method starts and stops a plant, and what is called twice has happened twice.
     """
     await opcua.prove()
-    await opcua.poke(nodes="methods")
+    await opcua.device.poke(nodes="methods")
     number, text = run.rng.randrange(-(2**31), 2**31), str(run.rng.randrange(10, 100))
     byte, whole = run.rng.randrange(256), run.rng.randrange(1000)
     for method, arguments, kinds in (
@@ -530,7 +534,7 @@ async def methods_are_called_as_declared(run: Repetition, opcua: Rig, opcua_ro: 
     if opcua_ro is not None:
         await _writes_are_disabled(run, opcua_ro, [number, text])
     # An adapter that is not said to connect again would be lost for the items that follow.
-    if opcua.claims("recovery") and opcua.reconnects:
+    if opcua.subject.claims("recovery") and opcua.subject.reconnects:
         await _a_lost_answer_is_no_second_call(run, opcua, [number, text])
 
 
@@ -591,20 +595,20 @@ async def _a_refused_argument_is_told(run: Repetition, opcua: Rig) -> None:
 
 
 async def _writes_are_disabled(run: Repetition, opcua_ro: Rig, arguments: list[Any]) -> None:
-    await opcua_ro.poke(nodes="methods")
+    await opcua_ro.device.poke(nodes="methods")
     refused = await opcua_ro.call("call_method", object=_METHODS, method=_MIX, arguments=arguments)
     run.fails(refused, "writes_disabled", outcome="not_sent", requirement="OUA-008")
-    if opcua_ro.claims("read"):
+    if opcua_ro.subject.claims("read"):
         run.succeeds(await opcua_ro.call("read", node=_TEMPERATURE), requirement="OUA-008")
     run.witnessed(oracle.no_state_changing_service(await opcua_ro.journal(), requirement="OUA-008"))
 
 
 async def _a_lost_answer_is_no_second_call(run: Repetition, opcua: Rig, arguments: list[Any]) -> None:
-    await opcua.fault({"service": "Call", "times": 1, "action": {"close": True}})
+    await opcua.device.fault({"service": "Call", "times": 1, "action": {"close": True}})
     reply = await opcua.call("call_method", object=_METHODS, method=_MIX, arguments=arguments)
     run.fails(reply, *CONNECTION_FAULTS, outcome="unknown", requirement="OUA-008", code_requirement="ERR-005")
-    await opcua.fault()
-    replies = await opcua.call_until_success("read", window_s=opcua.recovery_s, node=_TEMPERATURE)
+    await opcua.device.fault()
+    replies = await opcua.call_until_success("read", window_s=opcua.subject.recovery_s, node=_TEMPERATURE)
     run.succeeds(replies[-1], requirement="REC-001")
     calls = [entry for entry in await opcua.journal() if entry["t_ns"] >= reply.exchange.sent_ns]
     run.witnessed(_about("OUA-008", oracle.exactly_one_call(calls, _METHODS, _MIX, arguments)))

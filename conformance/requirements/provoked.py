@@ -46,7 +46,7 @@ VALIDATION = ("invalid_input", "type_mismatch", "range_overflow", "limit_exceede
 
 def needs_envelopes(run: Repetition, at: Rig) -> None:
     """End the repetition for a subject that does not claim to answer in envelopes."""
-    if not at.native:
+    if not at.subject.native:
         run.not_applicable("the subject does not claim to answer in envelopes")
 
 
@@ -84,9 +84,9 @@ async def refused_by_the_device(run: Repetition, at: Rig, *, requirement: str = 
     Args:
         requirement: id of the requirement that a success breaks; without it the one that the operation's result is about.
     """
-    await at.fault(*exercise(at).refused)
+    await at.device.fault(*exercise(at).refused)
     asked, reply = await read(run, at)
-    await at.fault()
+    await at.device.fault()
     if await met(at, reply):
         own = protocols()[at.protocol].operations[asked.operation].requirement
         expect_failure(run, reply, requirement=requirement or own)
@@ -103,9 +103,9 @@ async def broken(run: Repetition, at: Rig, *, requirement: str) -> Reply:
 
     An adapter that delivers the message again, where the protocol lets it, may succeed.
     """
-    await at.fault(*({**rule, "times": 1} for rule in exercise(at).reset))
+    await at.device.fault(*({**rule, "times": 1} for rule in exercise(at).reset))
     _, reply = await write(run, at)
-    await at.fault()
+    await at.device.fault()
     if not reply.success:
         run.fails(reply, *CONNECTION_FAULTS, requirement=requirement)
     await answers_again(run, at)

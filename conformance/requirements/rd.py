@@ -41,7 +41,7 @@ REFUSED = ("limit_exceeded", "invalid_input", "illegal_address", "range_overflow
 
 
 def _claimed(modbus: Rig) -> list[str]:
-    return [operation for operation in TABLES if modbus.claims(operation)]
+    return [operation for operation in TABLES if modbus.subject.claims(operation)]
 
 
 def _nonces(run: Repetition, operation: str, count: int) -> list[Any]:
@@ -51,7 +51,7 @@ def _nonces(run: Repetition, operation: str, count: int) -> list[Any]:
 
 
 async def _set(modbus: Rig, operation: str, address: int, values: Sequence[Any], unit: int = 1) -> None:
-    await modbus.poke(unit=unit, table=TABLES[operation][0], address=address, values=list(values))
+    await modbus.device.poke(unit=unit, table=TABLES[operation][0], address=address, values=list(values))
 
 
 @TASKS.check(
@@ -83,11 +83,11 @@ async def every_type_is_read_as_it_is(run: Repetition, opcua: Rig) -> None:
     Why: a number that was read as another type is another number.
     """
     await a_read_works(run, opcua)
-    await opcua.poke(nodes="types")
+    await opcua.device.poke(nodes="types")
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return
     for node, value in _values(run):
-        await opcua.poke(node=node, value=value)
+        await opcua.device.poke(node=node, value=value)
         reply = await opcua.call("read", node=f"ns=2;s={node}")
         run.succeeds(reply, requirement="RD-001", value=as_said(node, value, reply))
 
@@ -104,9 +104,9 @@ async def every_value_is_read_as_it_is(run: Repetition, at: Rig) -> None:
     assert every is not None
     await a_read_works(run, at)
     for asked in every(run.rng):
-        if at.claims(asked.operation):
+        if at.subject.claims(asked.operation):
             for poke in asked.pokes:
-                await at.poke(**poke)
+                await at.device.poke(**poke)
             reply = await at.call(asked.operation, **asked.inputs)
             exact_or_refused(
                 run, reply, "unsupported_operation", "invalid_input", requirement="RD-001", **asked.outputs
@@ -162,7 +162,7 @@ async def units_are_told_apart(run: Repetition, modbus: Rig) -> None:
     Seen: for each call a read of this unit.
     Why: behind a gateway the units are other machines.
     """
-    await modbus.poke(units=list(UNITS))
+    await modbus.device.poke(units=list(UNITS))
     values = dict(zip(UNITS, run.rng.sample(range(SIZE), len(UNITS)), strict=True))
     for unit, value in values.items():
         await _set(modbus, HOLDING, 20, [value], unit)
@@ -185,7 +185,7 @@ async def what_is_read_is_fresh(run: Repetition, at: Rig) -> None:
         asked, reply = await read(run, at)
         if run.succeeds(reply, requirement="RD-004", **asked.outputs):
             run.witnessed(_answered(at, reply.during(await at.journal())))
-    if not (at.claims("recovery") and at.reconnects):
+    if not (at.subject.claims("recovery") and at.subject.reconnects):
         return
     asked = exercise(at).read(run.rng)
     await at.stop_device()
@@ -195,8 +195,8 @@ async def what_is_read_is_fresh(run: Repetition, at: Rig) -> None:
         run.fails(reply, *CONNECTION_FAULTS, requirement="RD-004", code_requirement="REC-002")
     await at.start_device()
     for poke in asked.pokes:
-        await at.poke(**poke)
-    replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, **asked.inputs)
+        await at.device.poke(**poke)
+    replies = await at.call_until_success(asked.operation, window_s=at.subject.recovery_s, **asked.inputs)
     run.succeeds(replies[-1], requirement="REC-001")
 
 
@@ -246,9 +246,9 @@ async def _is_no_data(
 ) -> None:
     held, false = run.rng.sample(range(1, SIZE), 2)
     await _set(modbus, HOLDING, 40, [held])
-    await modbus.fault({"function": 3, "times": 1, "action": {**action, "answer_values": [false]}})
+    await modbus.device.fault({"function": 3, "times": 1, "action": {**action, "answer_values": [false]}})
     reply = await modbus.call("read_holding", address=40, count=1)
-    await modbus.fault()
+    await modbus.device.fault()
     if not reply.success:
         _refuses(run, reply, requirement)
     elif same_json(reply.outputs.get("values"), [false]):
@@ -278,9 +278,9 @@ async def _wrong_number(run: Repetition, modbus: Rig, count: int) -> None:
         return
     held, false = _nonces(run, HOLDING, 4), _nonces(run, HOLDING, count)
     await _set(modbus, HOLDING, 40, held)
-    await modbus.fault({"function": 3, "action": {"answer_values": false}})
+    await modbus.device.fault({"function": 3, "action": {"answer_values": false}})
     reply = await modbus.call("read_holding", **block)
-    await modbus.fault()
+    await modbus.device.fault()
     if not reply.success:
         _refuses(run, reply, "RD-005")
     elif not _fitted(reply.during(await modbus.journal())):
@@ -309,12 +309,12 @@ async def bits_are_counted_and_in_order(run: Repetition, modbus: Rig) -> None:
     Seen: the device holds these bits, and others beside them.
     Why: the bits that fill up the last byte are no switches of the plant.
     """
-    await modbus.poke(unit=1, cells=2 * MOST_BITS)
+    await modbus.device.poke(unit=1, cells=2 * MOST_BITS)
     for operation in (COILS, DISCRETE):
         for count in (1, 7, 8, 9, 13, MOST_BITS):
             place, single = run.rng.randrange(count), run.rng.random() < 0.5
             for bits in ([single ^ (index != place) for index in range(count)], _nonces(run, operation, count)):
-                if not modbus.claims(operation):
+                if not modbus.subject.claims(operation):
                     continue
                 if modbus.excess(operation, address=30, count=count) is not None:
                     continue
@@ -347,7 +347,7 @@ async def reads_keep_to_their_limits(run: Repetition, modbus: Rig) -> None:
     Why: a device refuses what is beyond the limits, or does something of its own; half of a number from before and half from after a change
         is a number that never was.
     """
-    await modbus.poke(unit=1, cells=SIZE)
+    await modbus.device.poke(unit=1, cells=SIZE)
     await _one_register(run, modbus)
     for operation, most in (
         (HOLDING, MOST_REGISTERS),
@@ -355,7 +355,7 @@ async def reads_keep_to_their_limits(run: Repetition, modbus: Rig) -> None:
         (COILS, MOST_BITS),
         (DISCRETE, MOST_BITS),
     ):
-        if modbus.claims(operation):
+        if modbus.subject.claims(operation):
             for count in (most, most + 1, _TIMES[run.soak] * most):
                 await _limit(run, modbus, operation, 100, count)
             await _limit(run, modbus, operation, SIZE - 2, 2)
@@ -396,11 +396,11 @@ async def _limit(run: Repetition, modbus: Rig, operation: str, address: int, cou
 async def _numbers_are_whole(run: Repetition, modbus: Rig) -> None:
     for operation, function in (("read_typed", 3), ("read_typed_input", 4)):
         for kind in ("float32", "float64"):
-            if not modbus.claims(operation):
+            if not modbus.subject.claims(operation):
                 continue
             value = run.rng.uniform(1.0, 2.0)
             words = registers(value, kind)
-            await modbus.poke(
+            await modbus.device.poke(
                 unit=1, table="holding_registers" if function == 3 else "input_registers", address=60, values=words
             )
             reply = await modbus.call(operation, address=60, type=kind)

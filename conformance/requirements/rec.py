@@ -72,7 +72,7 @@ async def calls_fail_during_an_outage(run: Repetition, at: Rig) -> None:
     """
     await a_read_works(run, at)
     operations = protocols()[at.protocol].operations
-    statuses = [name for name, operation in operations.items() if operation.status and at.claims(name)]
+    statuses = [name for name, operation in operations.items() if operation.status and at.subject.claims(name)]
     for status in statuses:
         run.succeeds(await at.call(status))
     writes = each_write(run, at)
@@ -84,7 +84,7 @@ async def calls_fail_during_an_outage(run: Repetition, at: Rig) -> None:
         reply = await at.call(asked.operation, **asked.inputs)
         run.fails(reply, *CONNECTION_FAULTS, requirement="REC-002", code_requirement="ERR-005")
     for status in statuses:
-        window_s = max(_NOTICING_S, at.max_age_s(status) or 0.0)
+        window_s = max(_NOTICING_S, at.subject.max_age_s(status) or 0.0)
         noticed = await at.call_until_failure(status, window_s=window_s)
         run.fails(noticed, *CONNECTION_FAULTS, requirement="REC-002", code_requirement="ERR-005")
     await each_fails(run, at, writes, code_requirement="ERR-005")
@@ -101,13 +101,13 @@ async def a_vanished_peer_is_noticed(run: Repetition, at: Rig) -> None:
     Why: after a pulled cable nobody says goodbye; who waits for that shows a plant that stands still.
     """
     await a_read_works(run, at)
-    await at.fault(*({**rule, "times": 1} for rule in faulty(exercise(at).reads, **vanishing(at))))
+    await at.device.fault(*({**rule, "times": 1} for rule in faulty(exercise(at).reads, **vanishing(at))))
     asked, lost = await read(run, at)
     if lost.success:
         run.succeeds(lost, requirement="REC-003", **asked.outputs)
     else:
         run.fails(lost, *CONNECTION_FAULTS, requirement="REC-003", code_requirement="ERR-005")
-    await at.fault()
+    await at.device.fault()
     await answers_again(run, at, requirement="REC-003")
 
 
@@ -127,13 +127,13 @@ async def subscriptions_return(run: Repetition, mqtt: Rig) -> None:
     await mqtt.start_device()
     await answers_again(run, mqtt)
     await _still_heard(run, mqtt, topic)
-    await mqtt.poke(disconnect={"client_id": None, "reason_code": 139})
+    await mqtt.device.poke(disconnect={"client_id": None, "reason_code": 139})
     await answers_again(run, mqtt)
     await _still_heard(run, mqtt, topic)
 
 
 async def _still_heard(run: Repetition, mqtt: Rig, topic: str) -> None:
-    await mqtt.wait_for(kind="SUBACK", direction="out", timeout_s=mqtt.recovery_s)
+    await mqtt.wait_for(kind="SUBACK", direction="out", timeout_s=mqtt.subject.recovery_s)
     nonce = f"alarm-{run.rng.getrandbits(64):016x}".encode()
     await publish_from_kit(mqtt, topic, nonce)
     await mqtt.wait_for(kind="PUBLISH", direction="out", topic=topic, timeout_s=_DELIVERED_S)
@@ -144,7 +144,7 @@ async def _still_heard(run: Repetition, mqtt: Rig, topic: str) -> None:
 
 async def _is_listed(mqtt: Rig, topic: str) -> bool:
     """Tell whether the adapter says that a subscription is active; one that says nothing of it leaves it at its first word."""
-    if not mqtt.claims("subscriptions"):
+    if not mqtt.subject.claims("subscriptions"):
         return True
     reply = await mqtt.call("subscriptions")
     listed, active = reply.outputs.get("filters"), reply.outputs.get("active")
@@ -165,9 +165,9 @@ async def noise_is_recovered_from(run: Repetition, at: Rig) -> None:
     """
     await a_read_works(run, at)
     for mangle in _MANGLED:
-        await at.fault(*faulty(exercise(at).reads, mangle=mangle))
+        await at.device.fault(*faulty(exercise(at).reads, mangle=mangle))
         await read(run, at)
-        await at.fault()
+        await at.device.fault()
         await answers_again(run, at, requirement="REC-005")
         await a_read_works(run, at, requirement="REC-005")
 
@@ -194,31 +194,31 @@ async def lost_sessions_are_made_anew(run: Repetition, opcua: Rig) -> None:
     Seen: the server has no more sessions in the end than in the beginning.
     Why: a server has few sessions; an adapter that leaves one behind at every loss locks out the operators' own screens.
     """
-    if not opcua.reconnects:
+    if not opcua.subject.reconnects:
         run.not_applicable("the adapter is not said to connect again by itself")
     last = await opcua.call("read", node=_TEMPERATURE)
     run.must_succeed(last)
-    before = _sessions(await opcua.image())
+    before = _sessions(await opcua.device.image())
     for loss in range(_LOSSES):
         if loss < _CLOSED:
-            await opcua.poke(sessions="closed")
+            await opcua.device.poke(sessions="closed")
         else:
             action = {"service_fault": "BadSecureChannelIdInvalid"} if loss % 2 else {"close": True}
-            await opcua.fault({"service": "Read", "times": 1, "action": action})
+            await opcua.device.fault({"service": "Read", "times": 1, "action": action})
         last = await _answered_again(run, opcua, last)
         if not last.success:
             return
-    run.witnessed(_none_left_behind(before, _sessions(await opcua.image()), f"{_LOSSES} losses"))
+    run.witnessed(_none_left_behind(before, _sessions(await opcua.device.image()), f"{_LOSSES} losses"))
     await opcua.stop_device()
     await opcua.start_device()
     await _answered_again(run, opcua, last)
-    run.witnessed(_none_left_behind(before, _sessions(await opcua.image()), "a restart"))
+    run.witnessed(_none_left_behind(before, _sessions(await opcua.device.image()), "a restart"))
 
 
 async def _answered_again(run: Repetition, opcua: Rig, last: Reply) -> Reply:
     """Read until it succeeds, at most for as long as the subject declares after the last answer; return the reply."""
-    since_accepting_s = ((last.exchange.received_ns or 0) - opcua.accepting_ns) / 1e9 / run.time_scale
-    window_s = max(0.0, since_accepting_s) + opcua.recovery_s
+    since_accepting_s = ((last.exchange.received_ns or 0) - opcua.device.accepting_ns) / 1e9 / run.time_scale
+    window_s = max(0.0, since_accepting_s) + opcua.subject.recovery_s
     replies = await opcua.call_until_success("read", window_s=window_s, node=_TEMPERATURE)
     run.succeeds(replies[-1], requirement="REC-006")
     return replies[-1]

@@ -94,19 +94,19 @@ async def nothing_leaks(run: Repetition, at: Rig) -> None:
     Why: an adapter runs for months; what it loses with each fault is gone in the night in which the line is disturbed.
     """
     await _burst(run, at, *_WARM)
-    before = await at.footprint()
+    before = await at.session.footprint()
     if not before["processes"] or not await _is_seen(at):
         message = f"{at.protocol}: the process that talks to the device cannot be seen from here, so nothing is known of what it loses"
         run.witnessed([Finding(code="unseen_process", message=message, requirement="RES-001", strength="SHOULD")])
         return
     numbers = (_CALLS[run.soak], _FAULTS[run.soak], _CANCELS[run.soak], _RECONNECTS[run.soak])
     replies = await _burst(run, at, *numbers)
-    after = await at.footprint()
+    after = await at.session.footprint()
     grown = _grown(before, after)
     if grown:
         # What is collected late, or grows up to a bound, does not grow a second time.
         await _burst(run, at, *numbers)
-        again = await at.footprint()
+        again = await at.session.footprint()
         grown = {name: told for name, told in _grown(after, again).items() if name in grown}
     did = "{} calls, {} faults, {} cancellations and {} reconnections".format(*numbers)
     run.witnessed(
@@ -127,9 +127,9 @@ async def nothing_leaks(run: Repetition, at: Rig) -> None:
         run.finding("slower", message, "RES-001")
     if not grown:
         await _loses_nothing(run, at, "succeeds", partial(_succeeding, run, at))
-        await at.fault(*exercise(at).refused)
+        await at.device.fault(*exercise(at).refused)
         await _loses_nothing(run, at, "fails", partial(_failing, run, at))
-        await at.fault()
+        await at.device.fault()
         await answers_again(run, at)
 
 
@@ -166,7 +166,7 @@ async def _loses_nothing(run: Repetition, at: Rig, how: str, call: Callable[[int
             return
         for index in range(_WINDOW):
             await call(index)
-        looks.append(await at.footprint())
+        looks.append(await at.session.footprint())
         if not any(_may_grow(_growths(looks, name), name) for name in _PER_CALL):
             return
     lost = {name: growths for name in _PER_CALL if _keeps_growing(growths := _growths(looks, name), name)}
@@ -211,16 +211,16 @@ async def _burst(run: Repetition, at: Rig, calls: int, faults: int, cancels: int
         run.succeeds(reply, requirement=None, **asked.outputs)
         replies.append(reply)
     for _ in range(faults):
-        await at.fault(*faulty(asks.reads, **reset(at)))
+        await at.device.fault(*faulty(asks.reads, **reset(at)))
         asked = asks.read(run.rng)
         await at.call(asked.operation, role="control", **asked.inputs)
-    await at.fault()
+    await at.device.fault()
     await answers_again(run, at)
-    await at.fault(*faulty(asks.reads, delay_s=_LATE_S))
+    await at.device.fault(*faulty(asks.reads, delay_s=_LATE_S))
     for _ in range(cancels):
         asked = asks.read(run.rng)
         await at.call_and_cancel(asked.operation, seen={"request": True}, timeout_s=1.0, **asked.inputs)
-    await at.fault()
+    await at.device.fault()
     for _ in range(reconnects):
         await at.stop_device()
         await at.start_device()
@@ -265,7 +265,7 @@ async def a_hostile_opcua_server(run: Repetition, opcua: Rig) -> None:
     Why: a server with a fault must not take the adapter with it, which has to tell of the fault.
     """
     # A session whose connection has ended stays with the server for a while, so there are many of them.
-    await opcua.poke(limits={"sessions": 0})
+    await opcua.device.poke(limits={"sessions": 0})
     await _mangled_answers(run, opcua)
 
 
@@ -277,7 +277,7 @@ async def _mangled_answers(run: Repetition, at: Rig) -> None:
         if not run.has_time:
             break
         rules = [{**rule, "times": 1} for _ in range(_BATCH) for rule in _mangling(asks.reads, run.rng, end=True)]
-        await at.fault(*rules)
+        await at.device.fault(*rules)
         mangled = [asks.read(run.rng) for _ in range(_BATCH)]
         calls = (at.call(asked.operation, role="control", **asked.inputs) for asked in mangled)
         if protocols()[at.protocol].has_connections:
@@ -291,19 +291,19 @@ async def _mangled_answers(run: Repetition, at: Rig) -> None:
             # Nothing ends where there is no connection, so nearly every one of them is waited for.
             await run.together(*calls)
             done += _BATCH
-        await at.fault()
+        await at.device.fault()
         await answers_again(run, at, requirement="RES-003")
-        before = before or await at.footprint()
+        before = before or await at.session.footprint()
     if done < (planned := _BATCH * _BATCHES[run.soak]):
         run.cut_short("RES-003", f"{done} of {planned} reads with a mangled answer")
     staying = [{**rule, "times": 1} for _ in range(_STAYING) for rule in _mangling(asks.reads, run.rng, end=False)]
-    await at.fault(*staying)
+    await at.device.fault(*staying)
     waiting = [asks.read(run.rng) for _ in range(_STAYING)]
     await run.together(*(at.call(asked.operation, role="control", **asked.inputs) for asked in waiting))
-    await at.fault()
+    await at.device.fault()
     await answers_again(run, at, requirement="RES-003")
     if before is not None:
-        _stays_small(run, at, before, await at.footprint())
+        _stays_small(run, at, before, await at.session.footprint())
 
 
 def _stays_small(run: Repetition, at: Rig, before: Footprint, after: Footprint) -> None:
@@ -343,10 +343,10 @@ async def a_hostile_broker(run: Repetition, mqtt: Rig) -> None:
     payloads = [*_HOSTILE, *(_mangled(run.rng) for _ in range(_PAYLOADS[run.soak]))]
     for place, payload in enumerate(payloads, start=1):
         topic = f"spBv1.0/plant/{run.rng.choice(('NBIRTH', 'NDATA', 'NDEATH'))}/hostile-{place % 3}"
-        await mqtt.poke(
+        await mqtt.device.poke(
             publish={"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": 0, "retain": False}
         )
-        if place <= len(_HOSTILE) and mqtt.claims("decode_sparkplug"):
+        if place <= len(_HOSTILE) and mqtt.subject.claims("decode_sparkplug"):
             await mqtt.call("decode_sparkplug", role="control", payload=base64.b64encode(payload).decode())
         if place % 12 == 0:
             await a_read_works(run, mqtt, requirement="RES-003")
@@ -372,10 +372,10 @@ async def overload_is_refused(run: Repetition, at: Rig) -> None:
     """
     await a_read_works(run, at)
     for _ in range(_ROUNDS[run.soak]):
-        await at.fault(*faulty(exercise(at).reads, delay_s=_SLOW_S))
+        await at.device.fault(*faulty(exercise(at).reads, delay_s=_SLOW_S))
         asked = [exercise(at).read(run.rng) for _ in range(_AT_ONCE)]
         replies = await run.together(*(at.call(one.operation, **one.inputs) for one in asked))
-        await at.fault()
+        await at.device.fault()
         waited = [reply for reply in replies if not reply.success and not _is_refusal(reply)]
         # The calls are equal: which of them has which answer must not decide what is found, nor which of many faults are told.
         for reply in sorted(replies, key=lambda one: one.exchange.sent_ns):

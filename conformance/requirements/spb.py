@@ -114,13 +114,13 @@ def _of(device: str | None, messages: Messages) -> Messages:
 
 async def _buried(run: Repetition, mqtt: Rig, *devices: str) -> None:
     """Declare devices dead, so that the births of later checks do not have them."""
-    if mqtt.claims("device_death"):
+    if mqtt.subject.claims("device_death"):
         for device in devices:
             run.succeeds(await mqtt.call("device_death", device=device))
 
 
 async def _cut(mqtt: Rig) -> None:
-    await mqtt.poke(disconnect={"reason_code": _LOST_CONNECTION})
+    await mqtt.device.poke(disconnect={"reason_code": _LOST_CONNECTION})
 
 
 # -- SPB-001, SPB-002 ---------------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ async def metrics_arrive_as_they_were_asked_for(run: Repetition, mqtt: Rig) -> N
             "not_successful", f"{mqtt.protocol}: a device with a metric of any of the data types is refused", "SPB-001"
         )
     await _buried(run, mqtt, *accepted)
-    if mqtt.claims("decode_sparkplug") and mqtt.claims("subscribe"):
+    if mqtt.subject.claims("decode_sparkplug") and mqtt.subject.claims("subscribe"):
         await _decodes(run, mqtt)
 
 
@@ -178,7 +178,7 @@ async def _decodes(run: Repetition, mqtt: Rig) -> None:
     metrics = [
         _plant_metric(*one) for one in (("low", "Int32", -5), ("large", "UInt64", 2**63), ("broken", "Double", "NaN"))
     ]
-    await mqtt.poke(edge_node={"metrics": metrics})
+    await mqtt.device.poke(edge_node={"metrics": metrics})
     sent = [
         packet
         for packet in await mqtt.wait_for(kind="PUBLISH", direction="out", topic=topic, timeout_s=1.0)
@@ -246,7 +246,7 @@ async def topics_keep_to_their_levels(run: Repetition, mqtt: Rig) -> None:
             ("device_death", {"device": name}),
         ]
         for operation, inputs in asked:
-            if mqtt.claims(operation):
+            if mqtt.subject.claims(operation):
                 await _refused(run, mqtt, await mqtt.call(operation, **inputs), "SPB-002", "invalid_input", "not_born")
     await _born(run, mqtt, device)
     await _reports(run, mqtt, device)
@@ -255,7 +255,7 @@ async def topics_keep_to_their_levels(run: Repetition, mqtt: Rig) -> None:
         ("node_data", {"metrics": _data(_a_value(run))}),
         ("device_death", {"device": device}),
     ):
-        if mqtt.claims(operation):
+        if mqtt.subject.claims(operation):
             run.succeeds(await mqtt.call(operation, **inputs), requirement="SPB-002")
 
 
@@ -306,7 +306,7 @@ async def births_come_before_data(run: Repetition, mqtt: Rig) -> None:
         await until_it_works(run, mqtt, "device_birth", device=device, metrics=_temperature())
     await _reports(run, mqtt, device)
     await _buried(run, mqtt, device)
-    if mqtt.claims("device_death"):
+    if mqtt.subject.claims("device_death"):
         await _stays_dead(run, mqtt, device)
 
 
@@ -318,7 +318,7 @@ async def _stays_dead(run: Repetition, mqtt: Rig, dead: str) -> None:
     if node is None:
         # No birth on the wire: that has been found.
         return
-    await mqtt.poke(command={"group": node[0], "edge_node": node[1], "device": None, "metrics": [_REBIRTH]})
+    await mqtt.device.poke(command={"group": node[0], "edge_node": node[1], "device": None, "metrics": [_REBIRTH]})
     await until(mqtt, lambda entries: len(_of(living, sparkplug(since(birth, entries), "DBIRTH"))) > 1)
     await _cut(mqtt)
     # A birth may be handed to the connection that has just been cut; a subscription is answered on the next one.
@@ -425,7 +425,7 @@ async def what_fails_takes_no_number(run: Repetition, mqtt: Rig) -> None:
             run.fails(reply, *_REFUSALS, outcome="not_sent", requirement="SPB-005", code_requirement="ERR-001")
     await _reports(run, mqtt, device)
     run.witnessed(_no_gap(since(before, await mqtt.journal())))
-    if not mqtt.claims("recovery"):
+    if not mqtt.subject.claims("recovery"):
         await _buried(run, mqtt, device)
         return
     await mqtt.stop_device()
@@ -434,7 +434,7 @@ async def what_fails_takes_no_number(run: Repetition, mqtt: Rig) -> None:
     run.fails(failed, *CONNECTION_FAULTS, requirement="SPB-005", code_requirement="ERR-005")
     await mqtt.start_device()
     births = await mqtt.call_until_success(
-        "device_birth", window_s=mqtt.recovery_s, device=device, metrics=_temperature()
+        "device_birth", window_s=mqtt.subject.recovery_s, device=device, metrics=_temperature()
     )
     run.succeeds(births[-1], requirement="REC-001")
     await _reports(run, mqtt, device)
@@ -513,7 +513,7 @@ async def a_rebirth_is_carried_out(run: Repetition, mqtt: Rig) -> None:
         # No data on the wire: that has been found.
         return
     group, name = node
-    await mqtt.poke(command={"group": group, "edge_node": name, "device": None, "metrics": [_REBIRTH]})
+    await mqtt.device.poke(command={"group": group, "edge_node": name, "device": None, "metrics": [_REBIRTH]})
     data = await run.together(
         *(mqtt.call("device_data", device=device, metrics=_data(_a_value(run))) for device in devices)
     )
@@ -605,15 +605,15 @@ async def a_command_reaches_its_target(run: Repetition, mqtt: Rig, mqtt_ro: Rig 
         tck-id-topic-structure-namespace-valid-group-id).
     Why: a command is a write: it moves the machine.
     """
-    listens = mqtt.claims("sparkplug_nodes") or mqtt.claims("sparkplug_metrics")
+    listens = mqtt.subject.claims("sparkplug_nodes") or mqtt.subject.claims("sparkplug_metrics")
     if listens:
         # An adapter may begin to listen when it is first asked, and knows the births since.
         await _heard(run, mqtt)
-    if mqtt.claims("send_device_command"):
+    if mqtt.subject.claims("send_device_command"):
         await _device_obeys(run, mqtt)
-    if mqtt.claims("send_node_command"):
+    if mqtt.subject.claims("send_node_command"):
         await _commands(run, mqtt, None, [_REBIRTH])
-    if listens and mqtt.claims("send_device_command"):
+    if listens and mqtt.subject.claims("send_device_command"):
         setpoint = _setpoint(run)
         for metric in ({**setpoint, "name": "no-such-metric"}, {**setpoint, "datatype": "String", "value": "high"}):
             target = _target(mqtt, "device-1")
@@ -635,7 +635,7 @@ async def _device_obeys(run: Repetition, mqtt: Rig) -> None:
     await mqtt.wait_for(
         kind="PUBLISH", direction="out", topic=f"spBv1.0/{_GROUP}/DDATA/{_NODE}/device-1", timeout_s=0.2
     )
-    points = (await mqtt.image())["points"]
+    points = (await mqtt.device.image())["points"]
     held = points.get("edge_node/device-1/setpoint") if isinstance(points, dict) else None
     if held != setpoint["value"]:
         text = f"edge_node/device-1/setpoint should be {setpoint['value']} after the command, it is {held}"
@@ -647,7 +647,7 @@ async def _names_are_levels(run: Repetition, mqtt: Rig) -> None:
     for bad in (f"{name}/a", f"{name}+", "#", ""):
         for device in (None, "device-1"):
             operation, inputs = _command(run, mqtt, device)
-            for part in ("group", "node", "device") if mqtt.claims(operation) else ():
+            for part in ("group", "node", "device") if mqtt.subject.claims(operation) else ():
                 if part in inputs:
                     reply = await mqtt.call(operation, **{**inputs, part: bad})
                     await _refused(run, mqtt, reply, "SPB-002", *_REFUSALS)
@@ -655,22 +655,22 @@ async def _names_are_levels(run: Repetition, mqtt: Rig) -> None:
 
 async def _is_not_made_up_for(run: Repetition, mqtt: Rig) -> None:
     """Command while the broker ends every connection, and expect that nothing of it comes afterwards."""
-    if not (mqtt.claims("recovery") and mqtt.reconnects):
+    if not (mqtt.subject.claims("recovery") and mqtt.subject.reconnects):
         return
-    operation, inputs = _command(run, mqtt, "device-1" if mqtt.claims("send_device_command") else None)
+    operation, inputs = _command(run, mqtt, "device-1" if mqtt.subject.claims("send_device_command") else None)
     await mqtt.prove()
     connects = len(adapter_packets(await mqtt.journal(), "CONNECT", "in"))
-    await mqtt.fault({"packet": "CONNECT", "action": {"reset": True}})
+    await mqtt.device.fault({"packet": "CONNECT", "action": {"reset": True}})
     await _cut(mqtt)
     # An adapter that connects again has noticed; others connect when they are called.
     await mqtt.wait_for(kind="CONNECT", direction="in", count=connects + 1, timeout_s=_NOTICED_S)
     failed = await mqtt.call(operation, **inputs)
     run.fails(failed, *CONNECTION_FAULTS, *_REFUSALS, outcome=("not_sent", "unknown"), requirement="SPB-010")
-    await mqtt.fault()
+    await mqtt.device.fault()
     again = partial(mqtt.wait_for, kind="SUBACK", direction="out", timeout_s=_LET_IN_S)
     await again(count=1 + len(adapter_packets(await mqtt.journal(), "SUBACK", "out")))
     await mqtt.watch(QUIET_S)
-    if mqtt.claims("sparkplug_nodes") or mqtt.claims("sparkplug_metrics"):
+    if mqtt.subject.claims("sparkplug_nodes") or mqtt.subject.claims("sparkplug_metrics"):
         await _heard(run, mqtt)
     operation, further = _command(run, mqtt, inputs.get("device"))
     await until_it_works(run, mqtt, operation, **further)
@@ -687,7 +687,7 @@ def _command(run: Repetition, mqtt: Rig, device: str | None) -> tuple[str, dict[
 
 
 async def _is_guarded(run: Repetition, guarded: Rig) -> None:
-    operation, inputs = _command(run, guarded, "device-1" if guarded.claims("send_device_command") else None)
+    operation, inputs = _command(run, guarded, "device-1" if guarded.subject.claims("send_device_command") else None)
     reply = await guarded.call(operation, **inputs)
     run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     await guarded.watch(QUIET_S)
@@ -704,7 +704,7 @@ def _commanding(entries: Entries) -> Messages:
 
 def _target(mqtt: Rig, device: str | None, operation: str = "") -> dict[str, Any]:
     operation = operation or ("send_node_command" if device is None else "send_device_command")
-    group = {"group": _GROUP} if mqtt.accepts_input(operation, "group") else {}
+    group = {"group": _GROUP} if mqtt.subject.accepts_input(operation, "group") else {}
     return {"node": _NODE, **group, **({} if device is None else {"device": device})}
 
 
@@ -736,7 +736,7 @@ async def other_nodes_are_told_as_they_are(run: Repetition, mqtt: Rig) -> None:
         and its like).
     Why: the last value of a node that is dead looks like a measurement.
     """
-    lists = mqtt.claims("sparkplug_nodes")
+    lists = mqtt.subject.claims("sparkplug_nodes")
     if lists:
         run.succeeds(await mqtt.call("sparkplug_nodes"))
     special = (
@@ -745,35 +745,35 @@ async def other_nodes_are_told_as_they_are(run: Repetition, mqtt: Rig) -> None:
         ("broken", "Double", "NaN"),
         ("word", "String", nonce(run)),
     )
-    await mqtt.poke(edge_node={"aliases": True})
-    await mqtt.poke(edge_node={"metrics": [_plant_metric(*one) for one in special]})
+    await mqtt.device.poke(edge_node={"aliases": True})
+    await mqtt.device.poke(edge_node={"metrics": [_plant_metric(*one) for one in special]})
     await _lists(run, mqtt, special, alive=True)
     # Known metrics: the node reports them by their aliases.
     changed = (("low", "Int32", -(10**9)), ("large", "UInt64", 2**62), ("word", "String", nonce(run)))
-    await mqtt.poke(edge_node={"metrics": [_plant_metric(*one) for one in changed]})
+    await mqtt.device.poke(edge_node={"metrics": [_plant_metric(*one) for one in changed]})
     await _lists(run, mqtt, changed, alive=True)
-    await mqtt.poke(edge_node={"death": "device-2"})
+    await mqtt.device.poke(edge_node={"death": "device-2"})
     await _lists(run, mqtt, (), alive=False, device="device-2", node_alive=True)
-    await mqtt.poke(edge_node={"offline": True})
+    await mqtt.device.poke(edge_node={"offline": True})
     await _lists(run, mqtt, (), alive=False, node_alive=False)
     deaths = await mqtt.wait_for(
         kind="PUBLISH", direction="out", topic=f"spBv1.0/{_GROUP}/NDEATH/{_NODE}", timeout_s=1.0
     )
-    await mqtt.poke(edge_node={"offline": False})
+    await mqtt.device.poke(edge_node={"offline": False})
     await _lists(run, mqtt, changed, alive=True)
     if deaths:
         death = {"topic": f"spBv1.0/{_GROUP}/NDEATH/{_NODE}", "payload": as_mqtt(deaths[-1])["payload"]}
-        await mqtt.poke(publish=death)
+        await mqtt.device.poke(publish=death)
         await _lists(run, mqtt, changed, alive=True)
     if lists:
         await _tells_a_gap(run, mqtt)
-    await mqtt.poke(edge_node={"aliases": False})
+    await mqtt.device.poke(edge_node={"aliases": False})
 
 
 async def _tells_a_gap(run: Repetition, mqtt: Rig) -> None:
-    await mqtt.poke(edge_node={"skip_seq": 3})
+    await mqtt.device.poke(edge_node={"skip_seq": 3})
     later = ("low", "Int32", -run.rng.randrange(1, 10**6))
-    await mqtt.poke(edge_node={"metrics": [_plant_metric(*later)]})
+    await mqtt.device.poke(edge_node={"metrics": [_plant_metric(*later)]})
     reply, node = await _told_of_node(run, mqtt, _gap_is_told)
     _is_known(run, reply, node)
     if node is not None and not _gap_is_told(node):
@@ -792,13 +792,13 @@ async def _told_of_node(
     run: Repetition, mqtt: Rig, right: _Right, device: str = "device-1"
 ) -> tuple[Reply, Mapping[str, Any] | None]:
     """Ask what is known of the plant's node; an adapter without an exchange to wait for is asked until it is right, or for a second."""
-    exchanges = mqtt.claims("subscribe")
+    exchanges = mqtt.subject.claims("subscribe")
     if exchanges:
         await sync_point(run, mqtt, f"otmcp/{nonce(run)}")
     for look in range(1 if exchanges else _LOOKS):
         if look:
             await mqtt.watch(_LOOK_S)
-        if mqtt.claims("sparkplug_nodes"):
+        if mqtt.subject.claims("sparkplug_nodes"):
             reply = await mqtt.call("sparkplug_nodes")
             nodes = reply.outputs.get("nodes")
             plants = (one for one in nodes if _is_plants(one)) if isinstance(nodes, list) else iter(())
@@ -844,15 +844,15 @@ async def _lists(
     """Expect that a device of the plant's node is listed so, with these metrics."""
     expected = {"node": alive if node_alive is None else node_alive, device: alive}
     wanted = [{"name": name, "value": value} for name, _, value in metrics]
-    if not mqtt.claims("sparkplug_nodes"):
+    if not mqtt.subject.claims("sparkplug_nodes"):
         # Of a device that is dead nothing need be known any more, and of its node nothing is told.
-        if not alive and not mqtt.claims("sparkplug_metrics.online"):
+        if not alive and not mqtt.subject.claims("sparkplug_metrics.online"):
             return
         expected = {device: alive}
     reply, node = await _told_of_node(
         run, mqtt, lambda node: not _wrong(node, expected) and _not_told(_listed(node, device), wanted) is None, device
     )
-    if not (alive or mqtt.claims("sparkplug_nodes")) and reply.success is False:
+    if not (alive or mqtt.subject.claims("sparkplug_nodes")) and reply.success is False:
         run.fails(reply, *_REFUSALS, requirement="SPB-011", code_requirement="ERR-001")
         return
     _is_known(run, reply, node)
@@ -865,7 +865,7 @@ async def _lists(
         )
         run.judge(reply, [Finding(code="wrong_value", message=message, requirement="SPB-011", evidence=evidence)])
     run.judge(reply, _told(reply, _listed(node, device), wanted, "SPB-011"))
-    if mqtt.claims("sparkplug_nodes") and mqtt.claims("sparkplug_metrics") and alive:
+    if mqtt.subject.claims("sparkplug_nodes") and mqtt.subject.claims("sparkplug_metrics") and alive:
         # What the list has shown is known.
         told = await mqtt.call("sparkplug_metrics", **_target(mqtt, device, "sparkplug_metrics"))
         if run.succeeds(told):
@@ -889,9 +889,9 @@ def _listed(node: Mapping[str, Any], device: str) -> object:
 
 async def _heard(run: Repetition, mqtt: Rig) -> None:
     """Have the plant's node born again, and wait until the adapter has heard of that."""
-    if mqtt.claims("sparkplug_nodes"):
+    if mqtt.subject.claims("sparkplug_nodes"):
         run.succeeds(await mqtt.call("sparkplug_nodes"))
-    await mqtt.poke(edge_node={"rebirth": True})
+    await mqtt.device.poke(edge_node={"rebirth": True})
     await _told_of_node(run, mqtt, lambda node: "device-1" in dict(_devices(node)))
 
 
@@ -917,7 +917,7 @@ async def who_leaves_says_so(run: Repetition, mqtt: Rig) -> None:
     devices = (_new_device(run), _new_device(run))
     for device in devices:
         await _born(run, mqtt, device)
-    if mqtt.claims("device_death"):
+    if mqtt.subject.claims("device_death"):
         reply = await mqtt.call("device_death", device=devices[1])
         run.succeeds(reply)
         if reply.success and not await until(mqtt, lambda entries: _of(devices[1], sparkplug(entries, "DDEATH")) != []):
@@ -928,7 +928,7 @@ async def who_leaves_says_so(run: Repetition, mqtt: Rig) -> None:
                     )
                 ]
             )
-    if mqtt.claims("node_death"):
+    if mqtt.subject.claims("node_death"):
         reply = await mqtt.call("node_death")
         run.succeeds(reply)
         if reply.success and not await until(mqtt, lambda entries: sparkplug(entries, "NDEATH") != []):
@@ -970,7 +970,7 @@ async def a_host_is_born_on_every_connection(run: Repetition, mqtt: Rig) -> None
         tck-id-message-flow-hid-sparkplug-state-message-delivered).
     Why: edge nodes that wait for their primary host stay silent, or go to another broker, while it says that it is away.
     """
-    if not (mqtt.claims("recovery") and mqtt.reconnects):
+    if not (mqtt.subject.claims("recovery") and mqtt.subject.reconnects):
         run.not_applicable("the adapter is not said to connect again by itself")
     await _is_asked(mqtt)
     await mqtt.watch(QUIET_S)
@@ -991,7 +991,7 @@ async def a_host_is_born_on_every_connection(run: Repetition, mqtt: Rig) -> None
         return
     births = len(oracle.state_births(await mqtt.journal(), topic))
     death = base64.b64encode(b'{"online": false, "timestamp": 1700000000000}').decode()
-    await mqtt.poke(publish={"topic": topic, "payload": death, "qos": 1, "retain": True})
+    await mqtt.device.poke(publish={"topic": topic, "payload": death, "qos": 1, "retain": True})
     if not await until(mqtt, lambda entries: len(oracle.state_births(entries, topic)) > births):
         message = f"{topic} told that the host is not online, which the host should have put right; it did not"
         run.witnessed([oracle.broken_rule("SPB-013", message, await mqtt.journal())])
@@ -999,9 +999,9 @@ async def a_host_is_born_on_every_connection(run: Repetition, mqtt: Rig) -> None
 
 async def _is_asked(mqtt: Rig) -> None:
     """Have an adapter connect that does so when it is called; what it answers is the matter of other checks."""
-    if mqtt.claims("sparkplug_nodes"):
+    if mqtt.subject.claims("sparkplug_nodes"):
         await mqtt.call("sparkplug_nodes")
-    elif mqtt.claims("sparkplug_metrics"):
+    elif mqtt.subject.claims("sparkplug_metrics"):
         await mqtt.call("sparkplug_metrics", **_target(mqtt, "device-1", "sparkplug_metrics"))
     else:
         await mqtt.prove()

@@ -82,7 +82,7 @@ def some_read(run: Repetition, at: Rig) -> Asked | None:
 def _is_read(at: Rig, asked: Asked) -> bool:
     # A call that does not wait for messages returns what came before, so the device need not be there.
     waits = protocols()[at.protocol].operations[asked.operation].waits
-    return at.can_ask(asked.operation, asked.inputs) and (waits is None or at.blocks(asked.operation))
+    return at.can_ask(asked.operation, asked.inputs) and (waits is None or at.subject.blocks(asked.operation))
 
 
 def some_write(run: Repetition, at: Rig) -> Asked | None:
@@ -104,10 +104,10 @@ async def it_answers(run: Repetition, at: Rig, *, requirement: str | None = None
     """Read by whichever operation the subject has; without any, ask for the list of tools. The session goes on."""
     asked = some_read(run, at)
     if asked is None:
-        await at.listed_tools()
+        await at.session.listed_tools()
         return
     for poke in asked.pokes:
-        await at.poke(**poke)
+        await at.device.poke(**poke)
     run.succeeds(await at.call(asked.operation, **asked.inputs), requirement=requirement, **asked.outputs)
 
 
@@ -162,12 +162,14 @@ async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001
     Args:
         by: the read; None is that of the exercise.
     """
-    if not (at.claims("recovery") and at.reconnects):
+    if not (at.subject.claims("recovery") and at.subject.reconnects):
         await at.fresh_session()
     asked = by or exercise(at).read(run.rng)
     for poke in asked.pokes:
-        await at.poke(**poke)
-    replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, from_first_call=True, **asked.inputs)
+        await at.device.poke(**poke)
+    replies = await at.call_until_success(
+        asked.operation, window_s=at.subject.recovery_s, from_first_call=True, **asked.inputs
+    )
     run.succeeds(replies[-1], requirement=requirement, **asked.outputs)
     known = protocols()[at.protocol].exercise
     if known is not None and exercise(at).writing in [one.operation for one in known.otherwise]:
@@ -180,7 +182,7 @@ async def read(run: Repetition, at: Rig) -> tuple[Asked, Reply]:
     """Set a random value at the device and read it; nothing is judged yet."""
     asked = exercise(at).read(run.rng)
     for poke in asked.pokes:
-        await at.poke(**poke)
+        await at.device.poke(**poke)
     return asked, await at.call(asked.operation, **asked.inputs)
 
 
@@ -233,7 +235,8 @@ def said_of_repetitions(at: Rig, entries: Entries, found: Entries) -> str:
 def nothing_arrived(at: Rig, entries: Entries, *, requirement: str) -> list[Finding]:
     """Expect that nothing among entries commands the plant."""
     return [
-        replace(finding, requirement=requirement) for finding in nothing_commanded(at.protocol, entries, at.declared)
+        replace(finding, requirement=requirement)
+        for finding in nothing_commanded(at.protocol, entries, at.subject.declared)
     ]
 
 
@@ -298,7 +301,7 @@ async def polls(at: Rig, seen: Sequence[JournalEntry]) -> bool:
 
 async def works_again(run: Repetition, at: Rig, operation: str, **inputs: Any) -> None:
     """Expect that a call works after the device has done something wrong; an adapter that has to be connected gets a new session."""
-    if not (at.claims("recovery") and at.reconnects):
+    if not (at.subject.claims("recovery") and at.subject.reconnects):
         await at.fresh_session()
     replies = await at.call_until_success(operation, window_s=0.0, **inputs)
     run.succeeds(replies[-1], requirement="REC-001")

@@ -62,15 +62,15 @@ async def every_call_ends_in_time(run: Repetition, at: Rig) -> None:
     """
     await a_read_works(run, at)
     asks = exercise(at)
-    await at.fault(
+    await at.device.fault(
         *({**condition, "times": 1, "action": vanishing(at)} for condition in asks.reads[:1]),
         *faulty(asks.reads, **({"drip_s": _DRIP_S} if protocols()[at.protocol].has_connections else silence(at))),
     )
     asked = asks.read(run.rng)
     for poke in asked.pokes:
-        await at.poke(**poke)
+        await at.device.poke(**poke)
     replies = await run.together(*(at.call(asked.operation, **asked.inputs) for _ in range(2)))
-    await at.fault()
+    await at.device.fault()
     for reply in replies:
         # An adapter with a long deadline may have asked again, or waited for all the bytes.
         if reply.success:
@@ -106,10 +106,10 @@ async def repetitions_are_bounded(run: Repetition, at: Rig, retimed: Rig | None 
 
 async def _read_in_silence(run: Repetition, at: Rig) -> tuple[Reply, list[JournalEntry]]:
     """Return the reply to a read while the device is silent, and the equal requests that the device saw."""
-    await at.fault(*faulty(exercise(at).reads, **silence(at)))
+    await at.device.fault(*faulty(exercise(at).reads, **silence(at)))
     asked = exercise(at).read(run.rng)
     reply = await at.call(asked.operation, **asked.inputs)
-    await at.fault()
+    await at.device.fault()
     run.fails(reply, *CONNECTION_FAULTS, requirement="TMO-002", code_requirement="ERR-005")
     return reply, _repeated(at, reply.during(await at.journal()))
 
@@ -129,7 +129,7 @@ async def _settings_have_their_effect(run: Repetition, at: Rig) -> None:
 
 
 async def _ignored_settings(run: Repetition, at: Rig) -> list[Finding]:
-    times = at.times
+    times = at.subject.times
     assert times is not None
     reply, same = await _read_in_silence(run, at)
     deadline_ms = times.deadline_s * at.time_scale * 1000
@@ -186,22 +186,22 @@ async def a_cancelled_call_ends(run: Repetition, at: Rig) -> None:
     await a_write_works(run, at)
     await a_read_works(run, at)
 
-    await at.fault(*faulty(asks.reads, **silence(at)))
+    await at.device.fault(*faulty(asks.reads, **silence(at)))
     asked = asks.read(run.rng)
     reply = await at.call_and_cancel(asked.operation, seen={"request": True}, timeout_s=_SEEN_S, **asked.inputs)
-    await at.fault()
+    await at.device.fault()
     await at.watch(QUIET_S)
     same = _repeated(at, since(reply, await at.journal()))
     if len(same) > 1 and not await polls(at, same):
         _once(run, at, reply, same)
     await answers_again(run, at)
 
-    await at.fault(*faulty(asks.writes, **silence(at)))
+    await at.device.fault(*faulty(asks.writes, **silence(at)))
     asked = asks.write(run.rng)
     reply = await at.call_and_cancel(asked.operation, seen={"state_changing": True}, timeout_s=_SEEN_S, **asked.inputs)
     await _cancelled_write(run, at, asked, reply)
 
-    await at.fault(*faulty(asks.reads, **silence(at)))
+    await at.device.fault(*faulty(asks.reads, **silence(at)))
     reading, asked = asks.read(run.rng), asks.write(run.rng)
     _, reply = await run.together(
         at.call_and_cancel(reading.operation, seen={"kind": "none"}, timeout_s=_QUEUED_BEHIND_S, **reading.inputs),
@@ -212,7 +212,7 @@ async def a_cancelled_call_ends(run: Repetition, at: Rig) -> None:
 
 
 async def _cancelled_write(run: Repetition, at: Rig, asked: Asked, reply: Reply) -> None:
-    await at.fault()
+    await at.device.fault()
     await at.watch(QUIET_S)
     await answers_again(run, at)
     _once(run, at, reply, exercise(at).done(since(reply, await at.journal()), asked))
@@ -234,10 +234,10 @@ async def the_outcome_is_unknown(run: Repetition, at: Rig) -> None:
     """
     asks = exercise(at)
     await a_write_works(run, at)
-    await at.fault(*faulty(asks.writes, **silence(at)))
+    await at.device.fault(*faulty(asks.writes, **silence(at)))
     asked = asks.write(run.rng)
     reply = await at.call(asked.operation, **asked.inputs)
-    await at.fault()
+    await at.device.fault()
     if asks.done(since(reply, await at.journal()), asked) and not reply.success:
         found = failed(reply, *CONNECTION_FAULTS, outcome="unknown", code_requirement="ERR-005")
         run.judge(reply, citing("TMO-004", found))
@@ -257,12 +257,12 @@ async def connecting_again_has_pauses(run: Repetition, mqtt: Rig) -> None:
     """
     await a_read_works(run, mqtt)
     before = await mqtt.journal()
-    await mqtt.fault({"packet": "CONNECT", "action": {"reset": True}})
-    await mqtt.poke(disconnect={"client_id": None, "reason_code": 139})
+    await mqtt.device.fault({"packet": "CONNECT", "action": {"reset": True}})
+    await mqtt.device.poke(disconnect={"client_id": None, "reason_code": 139})
     watched_s = _WATCHED_S[run.soak]
     await mqtt.watch(watched_s)
     seen = (await mqtt.journal())[len(before) :]
-    await mqtt.fault()
+    await mqtt.device.fault()
     attempts = [entry for entry in seen if entry["kind"] == "CONNECT"]
     # On a machine that stands still the device is watched for longer.
     attempts = [entry for entry in attempts if entry["t_ns"] - attempts[0]["t_ns"] <= watched_s * 1e9]

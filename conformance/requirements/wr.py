@@ -78,12 +78,12 @@ def _every_write(run: Repetition, at: Rig) -> list[Asked]:
     """Return a write by every operation that the subject has bound; each changes what the device held before."""
     every = exercise(at).every_write
     assert every is not None
-    return [asked for asked in every(run.rng) if at.claims(asked.operation)]
+    return [asked for asked in every(run.rng) if at.subject.claims(asked.operation)]
 
 
 async def _prepare(at: Rig, asked: Asked) -> None:
     for poke in asked.pokes:
-        await at.poke(**poke)
+        await at.device.poke(**poke)
 
 
 # -- WR-001, WR-002 -----------------------------------------------------------------------------------------
@@ -98,9 +98,9 @@ async def a_modbus_write_has_its_effect(run: Repetition, modbus: Rig) -> None:
     Why: an assistant that reads "written" goes on as if the valve had moved.
     """
     await _have_their_effect(run, modbus)
-    await modbus.fault(*faulty(exercise(modbus).writes, exception=3))
+    await modbus.device.fault(*faulty(exercise(modbus).writes, exception=3))
     _, refused = await write(run, modbus)
-    await modbus.fault()
+    await modbus.device.fault()
     run.fails(refused, "illegal_value", requirement="WR-001", code_requirement="ERR-002")
 
 
@@ -114,11 +114,11 @@ async def an_opcua_write_has_its_effect(run: Repetition, opcua: Rig) -> None:
     Why: an assistant that reads "written" goes on as if the valve had moved.
     """
     await _have_their_effect(run, opcua)
-    if opcua.claims("write_many"):
+    if opcua.subject.claims("write_many"):
         await _partly_refused(run, opcua)
-    await opcua.fault(*faulty(exercise(opcua).writes, status="BadDeviceFailure"))
+    await opcua.device.fault(*faulty(exercise(opcua).writes, status="BadDeviceFailure"))
     _, refused = await write(run, opcua)
-    await opcua.fault()
+    await opcua.device.fault()
     run.fails(refused, "device_failure", requirement="WR-001", code_requirement="ERR-003")
 
 
@@ -143,9 +143,9 @@ async def a_write_has_its_effect(run: Repetition, at: Rig) -> None:
     refused_by = exercise(at).write_refused
     assert refused_by is not None
     action, code = refused_by
-    await at.fault(*faulty(exercise(at).writes, **action))
+    await at.device.fault(*faulty(exercise(at).writes, **action))
     _, refused = await write(run, at)
-    await at.fault()
+    await at.device.fault()
     run.fails(refused, code, requirement="WR-001", code_requirement="ERR-001")
 
 
@@ -156,7 +156,7 @@ async def _have_their_effect(run: Repetition, at: Rig) -> None:
         reply = await at.call(asked.operation, **asked.inputs)
         run.succeeds(reply, requirement="WR-001")
         if reply.success:
-            run.witnessed(witness(at).holds(await at.image(), asked.points))
+            run.witnessed(witness(at).holds(await at.device.image(), asked.points))
 
 
 async def _partly_refused(run: Repetition, opcua: Rig) -> None:
@@ -176,7 +176,7 @@ async def _say_what_is_asked_for(run: Repetition, at: Rig) -> None:
     for asked in () if commands is None else commands(run.rng):
         if not _can_be_asked(at, asked):
             continue
-        before = await at.image()
+        before = await at.device.image()
         reply = await at.call(asked.operation, **asked.inputs)
         done = protocols()[at.protocol].changes(reply.during(await at.journal()))
         written = exact_or_refused(run, reply, "unsupported_operation", "invalid_input", requirement="WR-001")
@@ -184,9 +184,9 @@ async def _say_what_is_asked_for(run: Repetition, at: Rig) -> None:
         if written or done:
             run.witnessed(_sent_as_asked(at, reply, asked, done))
         if written:
-            run.witnessed(witness(at).holds(await at.image(), asked.points))
+            run.witnessed(witness(at).holds(await at.device.image(), asked.points))
         else:
-            run.witnessed(witness(at).only_changed(before, await at.image(), {}, otherwise="WR-001"))
+            run.witnessed(witness(at).only_changed(before, await at.device.image(), {}, otherwise="WR-001"))
 
 
 def _sent_as_asked(at: Rig, reply: Reply, asked: Asked, done: Sequence[JournalEntry]) -> list[Finding]:
@@ -217,20 +217,20 @@ async def a_modbus_write_changes_its_target_alone(run: Repetition, modbus: Rig) 
     Why: a neighbour that changes is a machine that nobody commanded.
     """
     await modbus.prove()
-    await modbus.poke(units=[1, 2])
+    await modbus.device.poke(units=[1, 2])
     for unit in (1, 2):
         for table in ("holding_registers", "input_registers"):
             values = [run.rng.randrange(1, 0x10000) for _ in range(60)]
-            await modbus.poke(unit=unit, table=table, address=0, values=values)
+            await modbus.device.poke(unit=unit, table=table, address=0, values=values)
         for table in ("coils", "discrete_inputs"):
             values = [bool(run.rng.getrandbits(1)) for _ in range(60)]
-            await modbus.poke(unit=unit, table=table, address=0, values=values)
+            await modbus.device.poke(unit=unit, table=table, address=0, values=values)
     for asked in (one for one in _every_write(run, modbus) if one.points):
         await _prepare(modbus, asked)
         await _changes_alone(run, modbus, asked.operation, asked.inputs, asked.points)
-        if modbus.accepts_input(asked.operation, "unit") and asked.operation == "write_holding":
+        if modbus.subject.accepts_input(asked.operation, "unit") and asked.operation == "write_holding":
             value = run.rng.randrange(1, 0x10000)
-            await modbus.poke(unit=2, table="holding_registers", address=1, values=[0xFFFF ^ value])
+            await modbus.device.poke(unit=2, table="holding_registers", address=1, values=[0xFFFF ^ value])
             inputs = {"address": 1, "value": value, "unit": 2}
             await _changes_alone(run, modbus, asked.operation, inputs, points("holding_registers", 1, [value], unit=2))
 
@@ -240,9 +240,9 @@ async def _changes_alone(
 ) -> None:
     # A new proof sets values of its own.
     await at.prove()
-    before = await at.image()
+    before = await at.device.image()
     run.succeeds(await at.call(operation, **inputs), requirement="WR-001")
-    run.witnessed(witness(at).only_changed(before, await at.image(), expected, otherwise="WR-002"))
+    run.witnessed(witness(at).only_changed(before, await at.device.image(), expected, otherwise="WR-002"))
 
 
 @TASKS.every_protocol(
@@ -282,12 +282,12 @@ async def a_write_is_sent_once(run: Repetition, at: Rig) -> None:
     """
     asks = exercise(at)
     await a_write_works(run, at)
-    await at.fault(*faulty(asks.writes, delay_s=_LATE_S))
+    await at.device.fault(*faulty(asks.writes, delay_s=_LATE_S))
     await a_write_works(run, at)
     for action in (reset(at), silence(at)):
-        await at.fault(*faulty(asks.writes, **action))
+        await at.device.fault(*faulty(asks.writes, **action))
         asked, reply = await write(run, at)
-        await at.fault()
+        await at.device.fault()
         await answers_again(run, at)
         await at.watch(QUIET_S)
         if not reply.success:
@@ -401,7 +401,7 @@ async def _session_wrote_nothing(run: Repetition, guarded: Rig) -> None:
     await guarded.close_session()
     known = {finding.code for finding in run.ledger.findings}
     if guarded.protocol == "mqtt":
-        found = (await guarded.follow(Publications)).guarded(guarded.declared)
+        found = (await guarded.follow(Publications)).guarded(guarded.subject.declared)
     else:
         found = witness(guarded).nothing_changed_by(await guarded.follow(StateChanges))
     run.witnessed([finding for finding in found if finding.code not in known])
@@ -417,9 +417,9 @@ async def the_opcua_guard_covers_every_write(run: Repetition, opcua: Rig, opcua_
     """
     await _refused_then_written(run, opcua, opcua_ro)
     rate = round(run.rng.uniform(1.0, 99.0), 3)
-    owner = opcua_oracle.folder_id(await opcua.image(), "Methods")
+    owner = opcua_oracle.folder_id(await opcua.device.image(), "Methods")
     call: dict[str, Any] = {"object": owner, "method": "ns=2;s=SetProductionRate", "arguments": [rate]}
-    if opcua.claims("call_method") and opcua.expresses("call_method", call):
+    if opcua.subject.claims("call_method") and opcua.expresses("call_method", call):
         await _guarded(run, opcua_ro, "call_method", call)
         reply = await opcua.call("call_method", **call)
         run.succeeds(reply, requirement="OUA-001")
@@ -456,7 +456,7 @@ async def the_mqtt_guard_covers_every_write(run: Repetition, mqtt: Rig, mqtt_ro:
         ("node_death", {}),
     ]
     for operation, inputs in every:
-        if not (mqtt.claims(operation) and mqtt.expresses(operation, inputs)):
+        if not (mqtt.subject.claims(operation) and mqtt.expresses(operation, inputs)):
             continue
         reply = await mqtt_ro.call(operation, **inputs)
         run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
@@ -516,7 +516,9 @@ _MARGIN_S = 0.1
 def _can_be_asked(at: Rig, asked: Asked) -> bool:
     """Tell whether the subject has bound the operation of a call, with all the inputs that it may lack."""
     further = asked.inputs.keys() & {*protocols()[at.protocol].operations[asked.operation].voluntary_inputs}
-    return at.claims(asked.operation) and all(at.accepts_input(asked.operation, name) for name in further)
+    return at.subject.claims(asked.operation) and all(
+        at.subject.accepts_input(asked.operation, name) for name in further
+    )
 
 
 @TASKS.every_protocol(
@@ -530,7 +532,7 @@ async def only_what_is_on_the_list_is_written(run: Repetition, at: Rig, bounded:
     Seen: what is on the list; of everything else nothing, not even a part.
     Why: a list that looks at the first register alone lets an assistant write whatever lies behind it.
     """
-    asks, bounds = exercise(at), bounded.bounds
+    asks, bounds = exercise(at), bounded.subject.bounds
     if not bounds.allowed:
         run.not_applicable("the subject file does not say which targets the adapter was told to allow")
     assert asks.fenced is not None
@@ -561,7 +563,7 @@ def _points_of(at: Rig, target: str) -> Iterable[str]:
 
 
 async def _is_written(at: Rig, reply: Reply, asked: Asked, requirement: str) -> list[Finding]:
-    image: Any = await at.image()
+    image: Any = await at.device.image()
     if asked.points.keys() <= image["points"].keys():
         return citing(requirement, witness(at).holds(image, asked.points))
     return written_once(at, asked, reply.during(await at.journal()), requirement=requirement)
@@ -581,14 +583,14 @@ async def _refused(
     Args:
         until_ns: monotonic; a write that was answered later may be a success.
     """
-    before: Any = await at.image()
+    before: Any = await at.device.image()
     reply = await call(asked.operation, **asked.inputs)
     if reply.success and (reply.exchange.received_ns or math.inf) >= until_ns:
         return
     run.fails(reply, *codes, outcome=NOTHING_SENT, requirement=requirement)
     run.witnessed(nothing_arrived(at, since(reply, await at.journal()), requirement=requirement))
     held = {point: before["points"][point] for point in asked.points if point in before["points"]}
-    run.witnessed(citing(requirement, witness(at).holds(await at.image(), held)))
+    run.witnessed(citing(requirement, witness(at).holds(await at.device.image(), held)))
 
 
 @TASKS.every_protocol(
@@ -603,7 +605,7 @@ async def what_is_beyond_a_limit_is_not_written(run: Repetition, at: Rig, bounde
     Seen: what is within; nothing of everything else.
     Why: a limit that is compared before the value is scaled is ten times the limit that somebody has set.
     """
-    limits = bounded.bounds.limits
+    limits = bounded.subject.bounds.limits
     if not limits:
         run.not_applicable("the subject file does not say which limits the adapter was told")
     known = exercise(at).limited
@@ -634,7 +636,7 @@ class _Limiting:
 
     async def held(self, way: Callable[[float], Asked]) -> float:
         """Return the number that the device holds, where it is one of its points; else 0."""
-        image: Any = await self._at.image()
+        image: Any = await self._at.device.image()
         held = [image["points"].get(point) for point in way(1).points]
         return held[0] if len(held) == 1 and type(held[0]) in (int, float) else 0
 
@@ -706,7 +708,7 @@ async def a_block_is_one_request(run: Repetition, modbus: Rig) -> None:
     Why: a recipe that is written in two parts is half a recipe in between.
     """
     await _blocks(run, modbus, "write_registers", 16, {1: True, 90: True, 123: False}, (124, 1000))
-    if modbus.claims("write_coils"):
+    if modbus.subject.claims("write_coils"):
         await _blocks(run, modbus, "write_coils", 15, {1: True, 90: True, 1968: False}, (1969,))
 
 
@@ -732,7 +734,7 @@ async def _blocks(
             run.succeeds(reply, requirement="WR-008")
             run.witnessed(_one_block(reply, seen, function, most))
             table = "holding_registers" if function == 16 else "coils"
-            run.witnessed(modbus_oracle.image_holds(await modbus.image(), table, 0, list(values)))
+            run.witnessed(modbus_oracle.image_holds(await modbus.device.image(), table, 0, list(values)))
         else:
             # An adapter that knows how many cells there are refuses by itself.
             run.fails(
@@ -803,9 +805,9 @@ async def another_echo_is_no_confirmation(run: Repetition, modbus: Rig) -> None:
         other = {"value": 7, "coil": coil, "count": 9, "address": 55}
         # The answer to a mask write has no value of its own.
         for by_value in (False,) if asked.operation == "mask_write" else (True, False):
-            await modbus.fault(*_other_echoes(other, by_value=by_value))
+            await modbus.device.fault(*_other_echoes(other, by_value=by_value))
             reply = await modbus.call(asked.operation, **asked.inputs)
-            await modbus.fault()
+            await modbus.device.fault()
             codes = ("protocol_error", *CONNECTION_FAULTS)
             run.fails(reply, *codes, outcome="unknown", requirement="WR-009", code_requirement="ERR-005")
             await answers_again(run, modbus)
@@ -866,12 +868,12 @@ async def bits_are_changed_in_one_step(run: Repetition, modbus: Rig) -> None:
     """
     await modbus.prove()
     start, moving, bit = run.rng.randrange(0x10000) & 0xFFFE, 0x00F0, 0x0001
-    await modbus.poke(unit=1, table="holding_registers", address=30, values=[start])
+    await modbus.device.poke(unit=1, table="holding_registers", address=30, values=[start])
     restless = {"unit": 1, "table": "holding_registers", "address": 30, "change": "toggle", "bits": moving}
-    await modbus.poke(restless=[restless])
+    await modbus.device.poke(restless=[restless])
     reply = await modbus.call("mask_write", address=30, and_mask=0xFFFF ^ bit, or_mask=bit)
-    image = await modbus.image()
-    await modbus.poke(restless=[])
+    image = await modbus.device.image()
+    await modbus.device.poke(restless=[])
     seen = state_changing(since(reply, await modbus.journal()))
     if not reply.success:
         run.fails(reply, "unsupported_operation", outcome="not_sent", requirement="WR-011")
@@ -911,9 +913,9 @@ async def what_was_read_back_is_said(run: Repetition, at: Rig) -> None:
     assert clamped is not None
     expected = clamped(run.rng)
     await at.prove()
-    await at.fault(*faulty(exercise(at).writes, **expected.action))
+    await at.device.fault(*faulty(exercise(at).writes, **expected.action))
     reply = await at.call(expected.write.operation, **expected.write.inputs)
-    await at.fault()
+    await at.device.fault()
     told = reply.outputs.get(expected.output)
     looked = _asked_after_the_write(reply.during(await at.journal()))
     unsaid = told != expected.held and not _says(reply, expected.held)
@@ -951,9 +953,9 @@ async def what_is_cut_off_is_said(run: Repetition, opcua: Rig) -> None:
     """
     await opcua.prove()
     asked, stored = run.rng.uniform(70.0, 99.0), round(run.rng.uniform(1.0, 50.0), 3)
-    await opcua.fault({"service": "Write", "action": {"clamp": stored}})
+    await opcua.device.fault({"service": "Write", "action": {"clamp": stored}})
     reply = await opcua.call("write", node=_VALVE, value=asked)
-    await opcua.fault()
+    await opcua.device.fault()
     if reply.success and (reply.outputs.get("clamped") is not True or reply.outputs.get("value", stored) != stored):
         message = f"{reply.label}: the server holds {stored} instead, which the reply should say; it says {dict(reply.outputs)}"
         found = Finding(code="cut_off", message=message, requirement="WR-012", strength="SHOULD")

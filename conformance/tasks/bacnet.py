@@ -86,7 +86,7 @@ async def a_slow_device_is_reported_as_slow(run: Repetition, bacnet: Rig) -> Non
     Seen: no request to the device for what another device was asked for.
     """
     await a_delay_shows(run, bacnet, "ping")
-    if bacnet.claims("discover"):
+    if bacnet.subject.claims("discover"):
         found = await bacnet.call("discover")
         if run.succeeds(found):
             run.judge(found, oracle.invented(found.outputs.get("devices"), DEVICE))
@@ -176,11 +176,11 @@ async def a_higher_priority_wins(run: Repetition, bacnet: Rig) -> None:
     Why: the device says yes and nothing moves; an assistant that believes it goes on with a plant that is not there.
     """
     kept, value = run.rng.sample(range(1000), 2)
-    await bacnet.poke(**setting(VALVE, kept + 0.5, OTHER_PRIORITY))
-    before = await bacnet.image()
+    await bacnet.device.poke(**setting(VALVE, kept + 0.5, OTHER_PRIORITY))
+    before = await bacnet.device.image()
     asked = valve(value + 0.5)
     reply = await further.call(bacnet, asked)
-    after = await bacnet.image()
+    after = await bacnet.device.image()
     if not reply.success:
         run.fails(reply, "verify_failed", outcome="applied", requirement="WR-001")
     elif reply.outputs.get("value") != kept + 0.5:
@@ -208,15 +208,15 @@ async def relinquish(run: Repetition, bacnet: Rig) -> None:
     """
     lower = positive_half(run.rng)
     for priority, value in ((16, lower), (PRIORITY, lower + 1)):
-        await bacnet.poke(**setting(VALVE, value, priority))
-    before = await bacnet.image()
+        await bacnet.device.poke(**setting(VALVE, value, priority))
+    before = await bacnet.device.image()
     asked = valve(None)
     run.succeeds(await further.call(bacnet, asked))
     run.witnessed(
         at_its_priority(await bacnet.journal(), {}, asked),
         oracle.only_changed(
             before,
-            await bacnet.image(),
+            await bacnet.device.image(),
             {oracle.present(VALVE): lower, oracle.slot(VALVE, PRIORITY): None},
         ),
     )
@@ -250,7 +250,7 @@ async def an_object_that_is_there_can_be_read(run: Repetition, bacnet: Rig) -> N
 
 async def _refused(run: Repetition, bacnet: Rig, asked: Asked, code: str, error: tuple[int, int]) -> None:
     """Write what the device refuses, or what the adapter knows that it would refuse."""
-    before = await bacnet.image()
+    before = await bacnet.device.image()
     reply = await further.call(bacnet, asked)
     journal = await bacnet.journal()
     if oracle.no_state_changing_request(journal):
@@ -258,7 +258,7 @@ async def _refused(run: Repetition, bacnet: Rig, asked: Asked, code: str, error:
         run.witnessed(oracle.refused_with(journal, *error))
     else:
         run.fails(reply, code, "range_overflow", "invalid_input", outcome="not_sent", requirement="ERR-002")
-    run.witnessed(oracle.only_changed(before, await bacnet.image(), {}, otherwise=untold(reply, "ERR-002")))
+    run.witnessed(oracle.only_changed(before, await bacnet.device.image(), {}, otherwise=untold(reply, "ERR-002")))
 
 
 @TASKS.task(

@@ -126,7 +126,7 @@ def read_of(rig: Rig) -> Call:
     calls = protocols()[rig.protocol].proof.unreachable
     # Any example of the inputs tells whether there is a tool for them.
     bound = (call for call in calls if rig.can_ask(call.operation, call.made(random.Random(0))))
-    return next(bound, None) or next(call for call in calls if rig.claims(call.operation))
+    return next(bound, None) or next(call for call in calls if rig.subject.claims(call.operation))
 
 
 async def survive_a_restart(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
@@ -154,7 +154,7 @@ async def survive_a_restart(run: Repetition, rig: Rig, **witnesses: Witness) -> 
         run.fails(refused, *codes, requirement="REC-002", code_requirement="ERR-005")
     restart_ms = await rig.start_device()
     inputs = read.made(run.rng)
-    attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
+    attempts = await rig.call_until_success(operation, window_s=rig.subject.recovery_s, **inputs)
     last = attempts[-1]
     run.succeeds(last, requirement="REC-001")
     run.phases = {
@@ -162,7 +162,7 @@ async def survive_a_restart(run: Repetition, rig: Rig, **witnesses: Witness) -> 
         "stop": stop_ms,
         "detect": failing.latency_ms,
         "restart": restart_ms,
-        "same_session": milliseconds(rig.accepting_ns, last.exchange.received_ns) if last.success else None,
+        "same_session": milliseconds(rig.device.accepting_ns, last.exchange.received_ns) if last.success else None,
         "same_session_attempts": len(attempts),
         "same_session_ok": bool(last.success),
         "fresh_session": None,
@@ -183,7 +183,7 @@ def some_exchange(rig: Rig) -> Witness:
 
 def _noticing_s(rig: Rig, operation: str) -> float:
     """Return how long a status may still say "connected"."""
-    return max(NOTICING_S, rig.max_age_s(operation) or 0.0)
+    return max(NOTICING_S, rig.subject.max_age_s(operation) or 0.0)
 
 
 def fresh(journal: Entries, *asked: tuple[Reply, Witness]) -> list[Finding]:
@@ -196,7 +196,7 @@ def fresh(journal: Entries, *asked: tuple[Reply, Witness]) -> list[Finding]:
 
 async def status_is_known(run: Repetition, rig: Rig, witness: Witness, *replies: Reply) -> None:
     """Expect that each status was asked for during its call; a declared cache may answer, and says truthfully how old that is."""
-    max_age_s = rig.max_age_s(replies[0].operation)
+    max_age_s = rig.subject.max_age_s(replies[0].operation)
     if max_age_s is None:
         run.witnessed(fresh(await rig.journal(), *((reply, witness) for reply in replies)))
         return
@@ -237,9 +237,9 @@ def _cached(reply: Reply, max_age_s: float, exchanges: Exchanges) -> list[Findin
 
 async def a_delay_shows(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> None:
     """Perform an operation while the device answers late; that the envelope says how late is judged in every call."""
-    await rig.delay(DELAY_S)
+    await rig.device.delay(DELAY_S)
     run.succeeds(await rig.call(operation, **inputs))
-    await rig.delay(0)
+    await rig.device.delay(0)
 
 
 async def outage(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
@@ -256,7 +256,7 @@ async def outage(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
     warm = await rig.call(operation, **inputs)
     run.must_succeed(warm)
     # A command that an earlier item asked for must not arrive now.
-    run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.declared))
+    run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.subject.declared))
     # From here on the outage has been reached, whatever does not come after it.
     stop_ms = await rig.stop_device()
     run.phases = {
@@ -278,22 +278,22 @@ async def outage(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
     phases["restart"] = await rig.start_device()
 
     # An adapter that only claims to work in a new session is not tested in the same session.
-    if rig.claims("recovery"):
+    if rig.subject.claims("recovery"):
         inputs = read.made(run.rng)
-        attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
+        attempts = await rig.call_until_success(operation, window_s=rig.subject.recovery_s, **inputs)
         recovered = attempts[-1]
         phases["same_session_attempts"] = len(attempts)
         if run.succeeds(recovered, requirement="REC-001"):
             run.witnessed(witness(await rig.journal()))
         if recovered.success:
-            phases["same_session"] = milliseconds(rig.accepting_ns, recovered.exchange.received_ns)
+            phases["same_session"] = milliseconds(rig.device.accepting_ns, recovered.exchange.received_ns)
             phases["same_session_ok"] = True
 
     fresh = await rig.fresh_session()
     first = await rig.call(operation, **read.made(run.rng))
     run.succeeds(first)
     run.witnessed(witness(await rig.session_journal()))
-    run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.declared))
+    run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.subject.declared))
     if first.success:
         phases["fresh_session"] = milliseconds(fresh.spawned_ns, first.exchange.received_ns)
         phases["fresh_session_ok"] = True
@@ -306,7 +306,7 @@ async def a_meaningless_switch_enables_nothing(run: Repetition, guarded: Rig, op
         return
     run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent", requirement="WR-005")
     await guarded.close_session()
-    commanded = nothing_commanded(guarded.protocol, await guarded.journal(), guarded.declared)
+    commanded = nothing_commanded(guarded.protocol, await guarded.journal(), guarded.subject.declared)
     run.witnessed([replace(finding, requirement="WR-005") for finding in commanded])
 
 
@@ -321,17 +321,19 @@ async def start_without_device(run: Repetition, rig: Rig) -> None:
     An adapter that needs a new session after an outage then writes during one; the others do that where they read in one session.
     """
     # A step that connects cannot succeed now, so there is no session to ask.
-    if rig.reconnects:
+    if rig.subject.reconnects:
         read = read_of(rig)
         await rig.stop_device()
         await rig.fresh_session()
         failing = await rig.call(read.operation, **read.made(run.rng))
         run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
         await rig.start_device()
-        if rig.claims("recovery"):
-            attempts = await rig.call_until_success(read.operation, window_s=rig.recovery_s, **read.made(run.rng))
+        if rig.subject.claims("recovery"):
+            attempts = await rig.call_until_success(
+                read.operation, window_s=rig.subject.recovery_s, **read.made(run.rng)
+            )
             run.succeeds(attempts[-1], requirement="REC-001")
-    if not rig.claims("recovery"):
+    if not rig.subject.claims("recovery"):
         await rig.fresh_session()
         await a_failed_write_is_not_made_up_for(run, rig)
 
@@ -386,11 +388,11 @@ async def each_fails(run: Repetition, rig: Rig, writes: Iterable[Asked], *, code
 
 async def nothing_is_made_up_for(run: Repetition, rig: Rig) -> None:
     """Read, as the device is back after writes have failed, and expect that none of them comes then."""
-    if not rig.claims("recovery"):
+    if not rig.subject.claims("recovery"):
         await rig.fresh_session()
     read = read_of(rig)
     # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
-    last = (await rig.call_until_success(read.operation, window_s=rig.recovery_s, **read.made(run.rng)))[-1]
+    last = (await rig.call_until_success(read.operation, window_s=rig.subject.recovery_s, **read.made(run.rng)))[-1]
     run.succeeds(last, requirement="REC-001")
     await rig.stays_quiet(QUIET_S, partial(_nothing_late, rig))
     # A further answer shows that adapter and device ran during that time.
@@ -399,7 +401,7 @@ async def nothing_is_made_up_for(run: Repetition, rig: Rig) -> None:
 
 
 def _nothing_late(rig: Rig, entries: Entries) -> list[Finding]:
-    late = nothing_commanded(rig.protocol, entries, rig.declared)
+    late = nothing_commanded(rig.protocol, entries, rig.subject.declared)
     return [replace(finding, requirement="WR-010") for finding in late]
 
 

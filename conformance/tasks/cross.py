@@ -27,9 +27,9 @@ TASKS = Tasks()
 async def snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, *, parallel: bool) -> None:
     registers = [run.rng.randrange(0x10000) for _ in range(4)]
     temperature, pressure = (round(run.rng.uniform(0.0, 100.0), 6) for _ in range(2))
-    await modbus.poke(unit=1, table="input_registers", address=0, values=registers)
-    await opcua.poke(node="Temperature", value=temperature)
-    await opcua.poke(node="Pressure", value=pressure)
+    await modbus.device.poke(unit=1, table="input_registers", address=0, values=registers)
+    await opcua.device.poke(node="Temperature", value=temperature)
+    await opcua.device.poke(node="Pressure", value=pressure)
     calls = (
         modbus.call("read_input", address=0, count=4),
         opcua.call("read_many", nodes=["ns=2;s=Temperature", "ns=2;s=Pressure"]),
@@ -51,8 +51,8 @@ async def control_sequence(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, 
     pump = "ns=2;s=PumpEnabled"
     payload = json.dumps({"command": "start", "repetition": run.rep, "nonce": run.rng.getrandbits(32)})
     # The old values differ from those to be written, so that a write that never happened cannot pass.
-    await modbus.poke(unit=1, table="holding_registers", address=3, values=[0])
-    await opcua.poke(node="PumpEnabled", value=False)
+    await modbus.device.poke(unit=1, table="holding_registers", address=3, values=[0])
+    await opcua.device.poke(node="PumpEnabled", value=False)
     calls = (
         modbus.call("write_holding", address=3, value=60),
         opcua.call("write", node=pump, value=True),
@@ -62,15 +62,19 @@ async def control_sequence(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, 
     run.succeeds(register, value=60)
     run.succeeds(node, value=True)
     run.succeeds(message, topic="control/line")
-    qos = mqtt.expected_if_accepted("publish", "qos", 0)
+    qos = mqtt.subject.expected_if_accepted("publish", "qos", 0)
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/line", timeout_s=1.0)
     run.witnessed(
         modbus_oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=3, values=[60]),
-        modbus_oracle.image_holds(await modbus.image(), "holding_registers", 3, [60]),
+        modbus_oracle.image_holds(await modbus.device.image(), "holding_registers", 3, [60]),
         opcua_oracle.exactly_one_write(await opcua.journal(), pump, True),
-        opcua_oracle.image_holds(await opcua.image(), pump, True),
+        opcua_oracle.image_holds(await opcua.device.image(), pump, True),
         mqtt_oracle.published_once(
-            await mqtt.journal(), topic="control/line", payload=payload.encode(), qos=qos, declared=mqtt.declared
+            await mqtt.journal(),
+            topic="control/line",
+            payload=payload.encode(),
+            qos=qos,
+            declared=mqtt.subject.declared,
         ),
     )
 
@@ -167,8 +171,8 @@ async def one_bad_step_of_three(run: Repetition, modbus: Rig, mqtt: Rig, opcua: 
     """
     registers = [run.rng.randrange(0x10000) for _ in range(4)]
     payload = json.dumps({"pump_speed": 50 + run.rep})
-    await modbus.poke(unit=1, table="input_registers", address=0, values=registers)
-    missing_node = opcua.probe("missing_node")
+    await modbus.device.poke(unit=1, table="input_registers", address=0, values=registers)
+    missing_node = opcua.subject.probe("missing_node")
     block = await modbus.call("read_input", address=0, count=4)
     missing = await opcua.call("read", node=missing_node)
     message = await mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
@@ -180,11 +184,15 @@ async def one_bad_step_of_three(run: Repetition, modbus: Rig, mqtt: Rig, opcua: 
     else:
         run.fails(missing, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-003")
     run.succeeds(message, topic="control/pump")
-    qos = mqtt.expected_if_accepted("publish", "qos", 0)
+    qos = mqtt.subject.expected_if_accepted("publish", "qos", 0)
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     run.witnessed(
         fresh(await modbus.journal(), (block, SENSOR_BLOCK)),
         mqtt_oracle.published_once(
-            await mqtt.journal(), topic="control/pump", payload=payload.encode(), qos=qos, declared=mqtt.declared
+            await mqtt.journal(),
+            topic="control/pump",
+            payload=payload.encode(),
+            qos=qos,
+            declared=mqtt.subject.declared,
         ),
     )

@@ -152,7 +152,7 @@ async def poll_events(run: Repetition, dnp3: Rig) -> None:
     # Events that were left before this one are not what it is about.
     await dnp3.call("poll", role="setup", outstation=OUTSTATION, event_class=1)
     for value in changes:
-        await dnp3.poke(point=EVENT_POINT, value=value)
+        await dnp3.device.poke(point=EVENT_POINT, value=value)
     first = await polled(dnp3)
     second = await polled(dnp3)
     run.succeeds(first, events=[event(value) for value in changes])
@@ -179,19 +179,19 @@ async def a_selection_times_out(run: Repetition, dnp3: Rig) -> None:
     """
     asked = latched(bool(run.rng.getrandbits(1)))
     await further.set_up(dnp3, asked)
-    before = await dnp3.image()
-    await dnp3.fault(
+    before = await dnp3.device.image()
+    await dnp3.device.fault(
         *({"function": function, "action": {"status": TIMED_OUT}} for function in (OPERATE, DIRECT_OPERATE))
     )
     reply = await further.call(dnp3, asked)
-    await dnp3.fault()
+    await dnp3.device.fault()
     told = {"requirement": "WR-001", "code_requirement": "ERR-002"}
     run.fails(reply, "session_error", "timeout", outcome=("rejected", "unknown"), **told)
     journal = await dnp3.journal()
     run.witnessed(
         one_write(journal, {}, asked),
         oracle.refused_with_status(journal, TIMED_OUT),
-        oracle.only_changed(before, await dnp3.image(), {}, otherwise="WR-001"),
+        oracle.only_changed(before, await dnp3.device.image(), {}, otherwise="WR-001"),
     )
 
 
@@ -223,20 +223,20 @@ async def an_unsolicited_response(run: Repetition, dnp3: Rig) -> None:
     Why: an outstation that tells an alarm by itself must not get an old value for an answer, or forget an alarm that nobody was told of.
     """
     value = bool(run.rng.getrandbits(1))
-    if dnp3.claims("poll"):
+    if dnp3.subject.claims("poll"):
         await dnp3.call("poll", role="setup", outstation=OUTSTATION, event_class=1)
     asked = several("analog", FIRST_ANALOG, 2).read(drawn(run, 2))
     await further.set_up(dnp3, asked)
-    await dnp3.poke(point=EVENT_POINT, value=value)
-    await dnp3.fault({"function": 1, "times": 1, "action": {"unsolicited": True}})
+    await dnp3.device.poke(point=EVENT_POINT, value=value)
+    await dnp3.device.fault({"function": 1, "times": 1, "action": {"unsolicited": True}})
     reply = await further.call(dnp3, asked)
-    await dnp3.fault()
+    await dnp3.device.fault()
     run.succeeds(reply, **asked.outputs)
     await dnp3.wait_for(kind="confirm", unsolicited=True, timeout_s=CONFIRMED_S)
     told = reply.outputs.get("events") or []
     if told:
         run.succeeds(reply, events=[event(value)])
-    if dnp3.claims("poll"):
+    if dnp3.subject.claims("poll"):
         run.succeeds(await polled(dnp3), events=[] if told else [event(value)])
     journal = await dnp3.journal()
     run.witnessed(
@@ -293,7 +293,7 @@ async def inputs_that_are_there_can_be_read(run: Repetition, dnp3: Rig) -> None:
 
 async def _refused(run: Repetition, dnp3: Rig, status: int, asked: Asked, *codes: str) -> None:
     """Send a command that the outstation refuses, or that the adapter knows that it would refuse."""
-    before = await dnp3.image()
+    before = await dnp3.device.image()
     reply = await further.call(dnp3, asked)
     journal = await dnp3.journal()
     if oracle.no_state_changing_request(journal):
@@ -301,7 +301,7 @@ async def _refused(run: Repetition, dnp3: Rig, status: int, asked: Asked, *codes
         run.witnessed(oracle.refused_with_status(journal, status))
     else:
         run.fails(reply, *codes, "invalid_input", outcome="not_sent", requirement="ERR-002")
-    run.witnessed(oracle.only_changed(before, await dnp3.image(), {}, otherwise=untold(reply, "ERR-002")))
+    run.witnessed(oracle.only_changed(before, await dnp3.device.image(), {}, otherwise=untold(reply, "ERR-002")))
 
 
 @TASKS.task(
@@ -321,7 +321,7 @@ async def operate_missing_output(run: Repetition, dnp3: Rig) -> None:
     Seen: the selection, which the outstation answers with status 4, or nothing; every point stays as it was.
     Why: the status of a command that was refused is in the echo of its object, and the answer as such looks like any other.
     """
-    missing = int(str(dnp3.probe("missing_output")))
+    missing = int(str(dnp3.subject.probe("missing_output")))
     await _refused(run, dnp3, NOT_SUPPORTED, latch(missing).writes(True), "illegal_address", "unsupported_operation")
 
 

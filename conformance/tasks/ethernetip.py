@@ -120,12 +120,12 @@ async def write_one_bit(run: Repetition, ethernetip: Rig) -> None:
     Why: who reads a word, changes a bit and writes the word takes back what the program has done meanwhile.
     """
     start = run.rng.randrange(0x100) & ~0x08
-    await ethernetip.poke(tag=FLAGS, value=start)
-    await ethernetip.poke(restless=[{"tag": FLAGS, "bits": 0x40}])
-    before = await ethernetip.image()
+    await ethernetip.device.poke(tag=FLAGS, value=start)
+    await ethernetip.device.poke(restless=[{"tag": FLAGS, "bits": 0x40}])
+    before = await ethernetip.device.image()
     reply = await ethernetip.call("write_tag", tag=f"{FLAGS}.3", value=True, type="BOOL")
-    after = await ethernetip.image()
-    await ethernetip.poke(restless=[])
+    after = await ethernetip.device.image()
+    await ethernetip.device.poke(restless=[])
     run.succeeds(reply, value=True)
     turned = 0x40 if oracle.changes_of_restless_bits(after) % 2 else 0
     run.witnessed(
@@ -152,10 +152,10 @@ async def connections_do_not_grow(run: Repetition, ethernetip: Rig) -> None:
     asked = TARGET.read(run.rng.choice(DINT_RANGE))
     await further.set_up(ethernetip, asked)
     run.succeeds(await further.call(ethernetip, asked), **asked.outputs)
-    before: Image = await ethernetip.image()
+    before: Image = await ethernetip.device.image()
     for _ in range(MANY_CALLS):
         run.succeeds(await further.call(ethernetip, asked), **asked.outputs)
-    run.witnessed(oracle.connections_left(await ethernetip.image(), most=before["connections"]))
+    run.witnessed(oracle.connections_left(await ethernetip.device.image(), most=before["connections"]))
 
 
 @connections_do_not_grow.after
@@ -164,9 +164,9 @@ async def connections_are_closed_at_the_end(run: Repetition, ethernetip: Rig) ->
 
     Seen: the CIP connection of the session that has ended is closed by a Forward Close, not left to be forgotten.
     """
-    before: Image = await ethernetip.image()
+    before: Image = await ethernetip.device.image()
     await ethernetip.fresh_session()
-    run.witnessed(oracle.connections_forgotten(await ethernetip.image(), most=before["forgotten"]))
+    run.witnessed(oracle.connections_forgotten(await ethernetip.device.image(), most=before["forgotten"]))
 
 
 @TASKS.task(
@@ -186,7 +186,7 @@ async def set_and_read_the_clock(run: Repetition, ethernetip: Rig) -> None:
     """
     moment = datetime(2031, 1 + run.rep % 12, run.rng.randrange(1, 28), run.rng.randrange(24), 30, tzinfo=UTC)
     wrote = await ethernetip.call("set_clock", time=moment.isoformat())
-    after = await ethernetip.image()
+    after = await ethernetip.device.image()
     read = await ethernetip.call("read_clock")
     run.succeeds(wrote)
     # What the controller's clock shows now may not be that time, which is the fault of the write; the read has to tell it.
@@ -267,13 +267,13 @@ async def write_two_tags_of_which_one_is_locked(run: Repetition, ethernetip: Rig
     value = 40 + run.rep
     asked = VALVE.write(value, before=~value)
     await further.set_up(ethernetip, asked)
-    before = await ethernetip.image()
+    before = await ethernetip.device.image()
     items = [{"tag_name": one.inputs["tag"], "value": value} for one in (asked, LOCKED.writes(value))]
     reply = await ethernetip.call("write_tags", items=items)
     run.fails(reply, "partial_failure", outcome="partial", requirement="ERR-008")
     run.witnessed(
         oracle.refused_with(reply.during(await ethernetip.journal()), PRIVILEGE_VIOLATION),
-        oracle.only_changed(before, await ethernetip.image(), asked.points),
+        oracle.only_changed(before, await ethernetip.device.image(), asked.points),
     )
 
 
@@ -292,13 +292,13 @@ async def write_what_is_locked(run: Repetition, ethernetip: Rig) -> None:
     Seen: the controller refuses with the general status 0F, unless nothing was sent; it holds what it held.
     Why: who takes any answer for a confirmation reports a write that the controller has refused.
     """
-    before = await ethernetip.image()
+    before = await ethernetip.device.image()
     reply = await further.call(ethernetip, LOCKED.writes(40 + run.rep))
     run.fails(reply, "access_denied", "not_writable", requirement="WR-001", code_requirement="ERR-002")
     seen = reply.during(await ethernetip.journal())
     if oracle.changes_asked_for(seen):
         run.witnessed(oracle.refused_with(seen, PRIVILEGE_VIOLATION))
-    run.witnessed(oracle.only_changed(before, await ethernetip.image(), {}))
+    run.witnessed(oracle.only_changed(before, await ethernetip.device.image(), {}))
 
 
 def counts(run: Repetition, count: int) -> list[Asked]:

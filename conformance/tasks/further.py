@@ -187,13 +187,13 @@ class Further(Tasks):
 
     async def names(self, at: Rig) -> Image:
         """Return the image by which requests are understood."""
-        return await at.image() if self._resolves else {}
+        return await at.device.image() if self._resolves else {}
 
     async def sees_and_holds(self, run: Repetition, at: Rig, asked: Asked, judge: Judge | None = None) -> None:
         """Expect that the device saw the one write, and holds it."""
         image = await self.names(at)
         found = (judge or self.one_write)(await at.journal(), image, asked)
-        run.witnessed(found, self.witness.holds(image or await at.image(), asked.points))
+        run.witnessed(found, self.witness.holds(image or await at.device.image(), asked.points))
 
     def seen(self, journal: Entries, image: Image, *asked: tuple[Reply, Asked]) -> list[Finding]:
         """Expect that each call made the device see what it asks for."""
@@ -208,7 +208,7 @@ async def set_up(at: Rig, *asked: Asked) -> None:
     """Set at the device what calls need."""
     for one in asked:
         for poke in one.pokes:
-            await at.poke(**poke)
+            await at.device.poke(**poke)
 
 
 async def call(at: Rig, asked: Asked) -> Reply:
@@ -270,7 +270,7 @@ def reads(of: Further, id: str, title: str, *, needs: str, make: Of[Sequence[Ask
         run.witnessed(
             of.seen(journal, image, *zip(replies, asked, strict=True)),
             of.witness.nothing_changed(journal, requirement="MCP-008"),
-            of.witness.holds(await at.image(), held) if held else [],
+            of.witness.holds(await at.device.image(), held) if held else [],
         )
 
     ends_with_its_stdin(of, steps)
@@ -319,11 +319,11 @@ def reads_back(
         """
         asked = write(run)
         await set_up(at, asked)
-        before = await at.image()
+        before = await at.device.image()
         wrote = await call(at, asked)
-        after = await at.image()
+        after = await at.device.image()
         # What the device holds now may not be the value, which is the fault of the write; the read has to tell it.
-        reading = read(after) if read and (facet is None or at.claims(facet)) else None
+        reading = read(after) if read and (facet is None or at.subject.claims(facet)) else None
         reply = await call(at, reading) if reading else None
         run.succeeds(wrote, **asked.outputs)
         if reply and reading:
@@ -358,12 +358,12 @@ def guard(of: Further, id: str, title: str, *, needs: str, write: Of[Asked], rea
         Seen: no request that changes the plant or prepares that; {device} holds what it held.
         Why: the write switch is what keeps an assistant's mistake out of the plant.
         """
-        before = await guarded.image()
+        before = await guarded.device.image()
         reply = await call(guarded, write(run))
         run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
         run.witnessed(
             of.witness.nothing_changed(await guarded.journal()),
-            of.witness.only_changed(before, await guarded.image(), {}, otherwise="WR-004"),
+            of.witness.only_changed(before, await guarded.device.image(), {}, otherwise="WR-004"),
         )
 
     @of.after(steps, guard=True)
@@ -432,7 +432,7 @@ def missing(
         Seen: the read, which {device} refuses.
         Why: an assistant that gets a zero for a place that does not exist believes the zero.
         """
-        asked = make(at.probe(key))
+        asked = make(at.subject.probe(key))
         reply = await call(at, asked)
         seen = reply.during(await at.journal())
         if not reached(seen, await of.names(at), asked):
@@ -479,9 +479,9 @@ async def another_answers(
     """
     await set_up(at, asked)
     run.succeeds(await call(at, asked), **asked.outputs)
-    await at.fault(rule)
+    await at.device.fault(rule)
     mixed = await call(at, asked)
-    await at.fault()
+    await at.device.fault()
     if must_fail is None or must_fail(mixed.during(await at.journal())):
         run.fails(mixed, *codes, requirement="RD-005", code_requirement="ERR-002")
     run.succeeds(await call(at, asked), **asked.outputs)
@@ -489,12 +489,12 @@ async def another_answers(
 
 async def not_sent(of: Further, run: Repetition, at: Rig, asked: Asked, *codes: str, requirement: str) -> None:
     """Write what the adapter has to refuse by itself, and expect that nothing is sent."""
-    before = await at.image()
+    before = await at.device.image()
     reply = await call(at, asked)
     run.fails(reply, *codes, outcome="not_sent", requirement=requirement)
     run.witnessed(
         of.witness.nothing_changed(await at.journal(), requirement=untold(reply, requirement)),
-        of.witness.only_changed(before, await at.image(), {}, otherwise=untold(reply, requirement)),
+        of.witness.only_changed(before, await at.device.image(), {}, otherwise=untold(reply, requirement)),
     )
 
 
@@ -614,7 +614,7 @@ def beside(
         )
         (asked,) = pair.writes
         for poke in pair.pokes:
-            await at.poke(**poke)
+            await at.device.poke(**poke)
         read, written = await run.together(call(at, pair.read), call(at, asked))
         run.succeeds(read, **pair.read.outputs)
         if not pair.read.outputs:

@@ -34,7 +34,7 @@ Messages = Mapping[str, tuple[str, str]]
 async def publish_from_kit(mqtt: Rig, topic: str, payload: bytes) -> None:
     """Let the broker publish a message of the kit, with QoS 0 and not retained."""
     message = {"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": 0, "retain": False}
-    await mqtt.poke(publish=message)
+    await mqtt.device.poke(publish=message)
 
 
 async def collect(run: Repetition, mqtt: Rig, messages: Messages) -> list[Reply]:
@@ -98,9 +98,9 @@ async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:
     subscribes to a topic below the filter, on which nothing is published: to subscribe to the filter again would bring retained messages
     again, replace a subscription that was lost, or empty its buffer.
     """
-    subscribes = mqtt.claims("subscribe")
+    subscribes = mqtt.subject.claims("subscribe")
     # A cache that is declared is renewed in its own time: an exchange during the call is not the call's.
-    if not subscribes or (mqtt.claims("info") and mqtt.max_age_s("info") is None):
+    if not subscribes or (mqtt.subject.claims("info") and mqtt.subject.max_age_s("info") is None):
         state = await mqtt.call("info", role="control")
         run.succeeds(state)
         journal = await mqtt.journal()
@@ -116,13 +116,13 @@ def receives(run: Repetition, mqtt: Rig, reply: Reply, topic: str, payload: str,
     Args:
         by_topic: asked for were the messages on this topic, not those that a wider filter selects.
     """
-    filtered = by_topic and mqtt.accepts_input("messages", "filter")
+    filtered = by_topic and mqtt.subject.accepts_input("messages", "filter")
     run.judge(reply, received(reply, topic, payload, filtered=filtered, told=tells_topics(mqtt)))
 
 
 def tells_topics(mqtt: Rig) -> bool:
     """Tell whether messages have their topics. Where they are payloads alone, they are asked for by one topic, and never by a wildcard."""
-    return mqtt.judges("messages.topic")
+    return mqtt.subject.judges("messages.topic")
 
 
 def received(reply: Reply, topic: str, payload: str, *, filtered: bool, told: bool = True) -> list[Finding]:

@@ -68,11 +68,11 @@ SENSOR_BLOCK = cells("read_input", 0, 4)
 
 async def set_cells(run: Repetition, modbus: Rig, count: int, address: int = 0) -> tuple[str, list[int | bool]]:
     """Set cells at random where the adapter can read some; return the operation that reads them, and the values."""
-    operation = next(name for name in TABLES if modbus.claims(name))
+    operation = next(name for name in TABLES if modbus.subject.claims(name))
     table, function = TABLES[operation]
     bits = function in (READ_COILS, READ_DISCRETE_INPUTS)
     values = [run.rng.random() < 0.5 if bits else run.rng.randrange(0x10000) for _ in range(count)]
-    await modbus.poke(unit=1, table=table, address=address, values=values)
+    await modbus.device.poke(unit=1, table=table, address=address, values=values)
     return operation, values
 
 
@@ -128,7 +128,7 @@ async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
     run.witnessed(
         fresh(journal, (reply, cells(operation, 0, 4))),
         oracle.no_state_changing_request(journal, requirement="MCP-008"),
-        oracle.image_holds(await modbus.image(), TABLES[operation][0], 0, values),
+        oracle.image_holds(await modbus.device.image(), TABLES[operation][0], 0, values),
     )
 
 
@@ -161,11 +161,11 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
         return
     value = 40 + run.rep
     # Guard cells on both sides: a write to, or a read from, a neighbouring register cannot pass.
-    await modbus.poke(unit=1, table="holding_registers", address=0, values=[0xFFFF - value])
-    await modbus.poke(unit=1, table="holding_registers", address=2, values=[0xFFFF - value])
-    before = await modbus.image()
+    await modbus.device.poke(unit=1, table="holding_registers", address=0, values=[0xFFFF - value])
+    await modbus.device.poke(unit=1, table="holding_registers", address=2, values=[0xFFFF - value])
+    before = await modbus.device.image()
     written = await modbus.call("write_holding", address=1, value=value)
-    after = await modbus.image()
+    after = await modbus.device.image()
     read = await modbus.call("read_holding", address=1, count=1)
     run.succeeds(written, value=value)
     # What the device holds now may not be the value, which is the fault of the write; the read has to tell it.
@@ -197,12 +197,12 @@ async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
     if modbus_ro.by_command_alone("write_holding"):
         await guarded(run, modbus_ro, some_command(run, modbus_ro))
         return
-    before = await modbus_ro.image()
+    before = await modbus_ro.device.image()
     reply = await modbus_ro.call("write_holding", address=1, value=999)
     run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.witnessed(
         oracle.no_state_changing_request(await modbus_ro.journal()),
-        oracle.only_changed(before, await modbus_ro.image(), {}, otherwise="WR-004"),
+        oracle.only_changed(before, await modbus_ro.device.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -260,7 +260,7 @@ async def read_missing_register(run: Repetition, modbus: Rig) -> None:
     Seen: the read, which the device refuses with an exception; or no read of anything else that it refuses.
     Why: an assistant that gets a zero for an address that does not exist believes the zero.
     """
-    missing = modbus.probe("missing_address")
+    missing = modbus.subject.probe("missing_address")
     reply = await modbus.call("read_holding", address=missing, count=1)
     seen = reply.during(await modbus.journal())
     if not oracle.reached(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1):
@@ -283,7 +283,7 @@ async def a_register_that_is_there_can_be_read(run: Repetition, modbus: Rig) -> 
     Seen: the register holds it.
     """
     value = run.rng.randrange(0x10000)
-    await modbus.poke(unit=1, table="holding_registers", address=40, values=[value])
+    await modbus.device.poke(unit=1, table="holding_registers", address=40, values=[value])
     run.succeeds(await modbus.call("read_holding", address=40, count=1), values=[value])
     await no_register_follows_the_last(run, modbus)
     await a_busy_device_is_no_success(run, modbus)
@@ -305,10 +305,10 @@ async def write_overflow(run: Repetition, modbus: Rig) -> None:
     Seen: no request that changes the plant; the device holds what it held.
     Why: 70000 cut down to 16 bits is 4464, a value that nobody asked for.
     """
-    before = await modbus.image()
+    before = await modbus.device.image()
     reply = await modbus.call("write_holding", address=1, value=70000)
     journal = await modbus.journal()
-    after = await modbus.image()
+    after = await modbus.device.image()
     if reply.success:
         run.judge(reply, oracle.stored_otherwise(after, "holding_registers", 1, 70000, told=reply.outputs.get("value")))
         return
@@ -331,7 +331,7 @@ async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
     run.succeeds(await modbus.call("write_holding", address=1, value=fits), value=fits)
     run.witnessed(
         oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[fits]),
-        oracle.image_holds(await modbus.image(), "holding_registers", 1, [fits]),
+        oracle.image_holds(await modbus.device.image(), "holding_registers", 1, [fits]),
     )
     await a_fraction_is_not_cut_off(run, modbus)
 
@@ -382,7 +382,7 @@ async def concurrent_register_read_and_write(run: Repetition, modbus: Rig) -> No
         lambda: run.rng.sample(range(0x10000), 2),
         lambda pair: {"address": 20, "value": pair[1]},
     )
-    await modbus.poke(unit=1, table="holding_registers", address=20, values=[old])
+    await modbus.device.poke(unit=1, table="holding_registers", address=20, values=[old])
     read, written = await run.together(
         modbus.call("read_holding", address=20, count=1),
         modbus.call("write_holding", address=20, value=new),
@@ -392,7 +392,7 @@ async def concurrent_register_read_and_write(run: Repetition, modbus: Rig) -> No
     run.succeeds(written, value=new)
     run.witnessed(
         oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=20, values=[new]),
-        oracle.image_holds(await modbus.image(), "holding_registers", 20, [new]),
+        oracle.image_holds(await modbus.device.image(), "holding_registers", 20, [new]),
     )
 
 

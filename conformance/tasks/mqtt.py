@@ -87,14 +87,14 @@ async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
     Seen: a subscription that the broker granted and that lives; the message is sent to the adapter.
     Why: an adapter that calls a refused subscription a success waits for ever for its alarm.
     """
-    if mqtt.blocks("messages"):
+    if mqtt.subject.blocks("messages"):
         nonce = f"nonce-{run.rng.getrandbits(64):016x}"
         text = "sensors/#" if tells_topics(mqtt) else "sensors/temperature"
         await collect(run, mqtt, {text: ("sensors/temperature", nonce)})
         return
     reply = await mqtt.call("subscribe", filter="sensors/#", qos=0)
     run.succeeds(reply, granted_qos=0)
-    qos = mqtt.expected_if_accepted("subscribe", "qos", 0)
+    qos = mqtt.subject.expected_if_accepted("subscribe", "qos", 0)
     # An adapter that has the subscription already need not ask for it again.
     run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted("sensors/#", qos=qos))
     topic, payload = "sensors/temperature", f"nonce-{run.rng.getrandbits(64):016x}".encode()
@@ -109,7 +109,7 @@ async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
 
     Said: the message with random content that the kit published, once and on its own topic.
     """
-    if mqtt.blocks("messages"):
+    if mqtt.subject.blocks("messages"):
         return
     # By the filter of the subscription and by the topic: of the first there may be older messages as well.
     topic, filters = "sensors/pressure", ["sensors/#", "sensors/pressure"]
@@ -148,14 +148,16 @@ async def publish_control(run: Repetition, mqtt: Rig) -> None:
         return
     payload = json.dumps({"pump_speed": 50 + run.rep})
     reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
-    qos = mqtt.expected_if_accepted("publish", "qos", 0)
+    qos = mqtt.subject.expected_if_accepted("publish", "qos", 0)
     # An adapter that takes no QoS may have chosen one that is acknowledged.
     delivery = {"delivery": "unacknowledged"} if qos == 0 else {}
     run.succeeds(reply, topic="control/pump", **delivery)
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     journal = await mqtt.journal()
     run.witnessed(
-        oracle.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos, declared=mqtt.declared)
+        oracle.published_once(
+            journal, topic="control/pump", payload=payload.encode(), qos=qos, declared=mqtt.subject.declared
+        )
     )
 
 
@@ -186,13 +188,13 @@ async def guarded_publish(
         return
     run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent", requirement="WR-004")
     # The refusal only proves the guard if the session reaches its broker; the same call works in the task itself.
-    if guarded.claims("info"):
+    if guarded.subject.claims("info"):
         info = await guarded.call("info")
         run.succeeds(info)
         await status_is_known(run, guarded, oracle.exchange, info)
     await guarded.close_session()
     publications = await guarded.follow(oracle.Publications)
-    run.witnessed(publications.guarded(guarded.declared) or witness(await guarded.journal()))
+    run.witnessed(publications.guarded(guarded.subject.declared) or witness(await guarded.journal()))
 
 
 @TASKS.task(
@@ -251,7 +253,9 @@ TO_NOWHERE = json.dumps({"pump_speed": 50})
 
 def nothing_to_nowhere(mqtt: Rig, requirement: str = "ADR-006") -> Witness:
     """Return the check that the message without a topic reached the broker in no form."""
-    return partial(oracle.not_published, payload=TO_NOWHERE.encode(), declared=mqtt.declared, requirement=requirement)
+    return partial(
+        oracle.not_published, payload=TO_NOWHERE.encode(), declared=mqtt.subject.declared, requirement=requirement
+    )
 
 
 @TASKS.task(
@@ -287,10 +291,12 @@ async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
     await filters_are_no_topics(run, mqtt)
     run.succeeds(await mqtt.call("publish", topic="control/pump", payload="control", qos=0))
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
-    qos = mqtt.expected_if_accepted("publish", "qos", 0)
+    qos = mqtt.subject.expected_if_accepted("publish", "qos", 0)
     journal = await mqtt.journal()
     run.witnessed(
-        oracle.published_once(journal, topic="control/pump", payload=b"control", qos=qos, declared=mqtt.declared)
+        oracle.published_once(
+            journal, topic="control/pump", payload=b"control", qos=qos, declared=mqtt.subject.declared
+        )
     )
     await ends_when_its_stdin_closes(mqtt)
 
@@ -311,7 +317,7 @@ async def subscribe_with_qos_5(run: Repetition, mqtt: Rig) -> None:
     Seen: no SUBSCRIBE, and a connection that stays up.
     Why: a value that is cut down in silence is not what was asked for.
     """
-    reply = await mqtt.call("subscribe", filter="sensors/#", qos=mqtt.probe("bad_qos"))
+    reply = await mqtt.call("subscribe", filter="sensors/#", qos=mqtt.subject.probe("bad_qos"))
     run.fails(reply, "invalid_input", requirement="ADR-007")
     journal = await mqtt.journal()
     run.witnessed(oracle.not_subscribed(reply.during(journal), "sensors/#"), oracle.session_stays_up(journal))
@@ -346,7 +352,7 @@ async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
     Why: a message on the wrong topic is a measurement of the wrong machine.
     """
     nonces = {f"stress/{i}": f"nonce-{run.rng.getrandbits(64):016x}" for i in range(4)}
-    if mqtt.blocks("messages"):
+    if mqtt.subject.blocks("messages"):
         await collect(run, mqtt, {topic: (topic, nonce) for topic, nonce in nonces.items()})
         return
     for topic, nonce in nonces.items():
@@ -358,7 +364,7 @@ async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
         # Four calls without a filter ask for the same: the first one may have taken what there was.
         having = (
             None
-            if mqtt.accepts_input("messages", "filter")
+            if mqtt.subject.accepts_input("messages", "filter")
             else next((one for one in replies if tells(one, nonce)), None)
         )
         if having is not None:
@@ -383,7 +389,7 @@ async def the_adapter_listens(run: Repetition, mqtt: Rig) -> None:
 
     Said: success.
     """
-    if mqtt.blocks("messages"):
+    if mqtt.subject.blocks("messages"):
         return
     for text in ("stress/#",) if tells_topics(mqtt) else (f"stress/{i}" for i in range(4)):
         run.succeeds(await mqtt.call("subscribe", filter=text, qos=0))
@@ -413,10 +419,12 @@ async def concurrent_info_and_publish(run: Repetition, mqtt: Rig) -> None:
     run.succeeds(info, connected=True)
     run.succeeds(message, topic="control/pump")
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
-    qos = mqtt.expected_if_accepted("publish", "qos", 0)
+    qos = mqtt.subject.expected_if_accepted("publish", "qos", 0)
     journal = await mqtt.journal()
     run.witnessed(
-        oracle.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos, declared=mqtt.declared)
+        oracle.published_once(
+            journal, topic="control/pump", payload=payload.encode(), qos=qos, declared=mqtt.subject.declared
+        )
     )
 
 
@@ -471,11 +479,11 @@ async def the_session_is_what_it_was(run: Repetition, mqtt: Rig) -> None:
     Seen: a message on the topic still reaches the adapter; nothing of the message that was reported as failed, now or as long as
     the session lives.
     """
-    keeps = mqtt.reconnects and mqtt.claims("subscribe") and mqtt.claims("messages")
-    listens = keeps and not mqtt.blocks("messages")
+    keeps = mqtt.subject.reconnects and mqtt.subject.claims("subscribe") and mqtt.subject.claims("messages")
+    listens = keeps and not mqtt.subject.blocks("messages")
     if listens:
         run.succeeds(await mqtt.call("subscribe", filter="outage/state", qos=0), requirement="REC-001")
-    if mqtt.claims("device_birth"):
+    if mqtt.subject.claims("device_birth"):
         # What is told of a device that was never announced may be refused for that.
         metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
         run.succeeds(await mqtt.call("device_birth", device="device-1", metrics=metrics))
@@ -491,7 +499,11 @@ async def still_subscribed(run: Repetition, mqtt: Rig) -> None:
     """Expect that the subscription of before the outage is one again."""
     topic, nonce = "outage/state", f"nonce-{run.rng.getrandbits(64):016x}"
     await arrival(
-        mqtt, partial(oracle.not_granted, filter=topic), kind="SUBACK", direction="out", timeout_s=mqtt.recovery_s
+        mqtt,
+        partial(oracle.not_granted, filter=topic),
+        kind="SUBACK",
+        direction="out",
+        timeout_s=mqtt.subject.recovery_s,
     )
     await sync_point(run, mqtt, topic)
     await publish_from_kit(mqtt, topic, nonce.encode())

@@ -60,14 +60,14 @@ async def read_temperature(run: Repetition, opcua: Rig) -> None:
     Why: a value from memory looks right until somebody acts on it.
     """
     value = round(run.rng.uniform(-50.0, 150.0), 6)
-    await opcua.poke(node="Temperature", value=value)
+    await opcua.device.poke(node="Temperature", value=value)
     reply = await opcua.call("read", node="ns=2;s=Temperature")
     run.succeeds(reply, value=value, status="Good")
     journal = await opcua.journal()
     run.witnessed(
         fresh(journal, (reply, reading(TEMPERATURE))),
         oracle.no_state_changing_service(journal, requirement="MCP-008"),
-        oracle.image_holds(await opcua.image(), "ns=2;s=Temperature", value),
+        oracle.image_holds(await opcua.device.image(), "ns=2;s=Temperature", value),
     )
 
 
@@ -97,7 +97,7 @@ async def browse_actuators(run: Repetition, opcua: Rig) -> None:
     Seen: a Browse of the folder.
     Why: a name that stands beside another node's id makes an assistant move the wrong valve.
     """
-    image = await opcua.image()
+    image = await opcua.device.image()
     actuators = oracle.children_of(image, "Actuators")
     reply = await opcua.call("browse", node=oracle.folder_id(image, "Actuators"))
     run.succeeds(reply)
@@ -136,18 +136,18 @@ async def write_valve_position(run: Repetition, opcua: Rig) -> None:
     """
     value = 25.0 + run.rep
     valve = "ns=2;s=ValvePosition"
-    before = await opcua.image()
+    before = await opcua.device.image()
     written = await opcua.call("write", node=valve, value=value)
-    after = await opcua.image()
+    after = await opcua.device.image()
     read = await opcua.call("read", node=valve)
     run.succeeds(written, value=value)
     # What the server holds now may not be the value, which is the fault of the write; the read has to tell it.
     run.succeeds(read, value=oracle.held(after, valve), status="Good")
-    await opcua.tick(2)
+    await opcua.device.tick(2)
     run.witnessed(
         oracle.exactly_one_write(await opcua.journal(), valve, value),
         oracle.only_changed(before, after, {valve: value}),
-        oracle.image_holds(await opcua.image(), valve, value),
+        oracle.image_holds(await opcua.device.image(), valve, value),
     )
 
 
@@ -162,7 +162,7 @@ async def nothing_is_written_with_writes_disabled(run: Repetition, opcua_ro: Rig
     """
     if opcua_ro is None:
         return
-    before = await opcua_ro.image()
+    before = await opcua_ro.device.image()
     refused = await opcua_ro.call("write", node="ns=2;s=ValvePosition", value=99.5)
     run.fails(refused, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.succeeds(await opcua_ro.call("read", node="ns=2;s=ValvePosition"))
@@ -170,7 +170,7 @@ async def nothing_is_written_with_writes_disabled(run: Repetition, opcua_ro: Rig
     run.witnessed(
         oracle.read_from_device(await opcua_ro.journal(), "ns=2;s=ValvePosition"),
         oracle.nothing_changed_by(await opcua_ro.follow(StateChanges)),
-        oracle.only_changed(before, await opcua_ro.image(), {}, otherwise="WR-004"),
+        oracle.only_changed(before, await opcua_ro.device.image(), {}, otherwise="WR-004"),
     )
     await a_meaningless_switch_enables_nothing(run, opcua_ro, "write", node="ns=2;s=ValvePosition", value=99.5)
 
@@ -193,7 +193,7 @@ async def enumerate_variables(run: Repetition, opcua: Rig) -> None:
     reply = await opcua.call("variables")
     run.succeeds(reply)
     run.witnessed(
-        oracle.complete_enumeration(reply.outputs.get("node_ids"), await opcua.image()),
+        oracle.complete_enumeration(reply.outputs.get("node_ids"), await opcua.device.image()),
         fresh(await opcua.journal(), (reply, oracle.some_service)),
     )
 
@@ -215,7 +215,7 @@ async def read_missing_node(run: Repetition, opcua: Rig) -> None:
     Seen: a request for the node, which the server refuses with BadNodeIdUnknown; or none.
     Why: an assistant that gets an empty value for a node that does not exist believes it.
     """
-    missing = opcua.probe("missing_node")
+    missing = opcua.subject.probe("missing_node")
     reply = await opcua.call("read", node=missing)
     seen = reply.during(await opcua.journal())
     if not oracle.reached(seen, missing):
@@ -236,7 +236,7 @@ async def a_node_that_is_there_can_be_read(run: Repetition, opcua: Rig) -> None:
     Seen: the variable holds it.
     """
     value = round(run.rng.uniform(-50.0, 150.0), 6)
-    await opcua.poke(node="Temperature", value=value)
+    await opcua.device.poke(node="Temperature", value=value)
     run.succeeds(await opcua.call("read", node=TEMPERATURE), value=value, status="Good")
     await a_bad_value_is_no_success(run, opcua)
 
@@ -257,11 +257,11 @@ async def write_wrong_type(run: Repetition, opcua: Rig) -> None:
     Seen: no write that the server accepted; the server holds what it held.
     Why: a text that is turned into a number in silence is a value that nobody asked for.
     """
-    before = await opcua.image()
+    before = await opcua.device.image()
     reply = await opcua.call("write", node=VALVE, value="fully open")
     run.fails(reply, "type_mismatch", "invalid_input", outcome=("not_sent", "rejected"), requirement="ADR-004")
     run.witnessed(
-        oracle.only_changed(before, await opcua.image(), {}, otherwise="ADR-004"),
+        oracle.only_changed(before, await opcua.device.image(), {}, otherwise="ADR-004"),
         oracle.accepted_writes(await opcua.journal(), 0, requirement="ADR-004"),
     )
 
@@ -277,7 +277,7 @@ async def a_number_is_accepted(run: Repetition, opcua: Rig) -> None:
     run.succeeds(await opcua.call("write", node=VALVE, value=31.25), value=31.25)
     run.witnessed(
         oracle.accepted_writes(await opcua.journal(), 1, requirement="OUA-001"),
-        oracle.image_holds(await opcua.image(), VALVE, 31.25),
+        oracle.image_holds(await opcua.device.image(), VALVE, 31.25),
     )
     await the_text_false_is_not_true(run, opcua)
 
@@ -300,7 +300,7 @@ async def concurrent_node_reads(run: Repetition, opcua: Rig) -> None:
     """
     values = {name: round(run.rng.uniform(0.0, 100.0), 6) for name in SENSORS}
     for name, value in values.items():
-        await opcua.poke(node=name, value=value)
+        await opcua.device.poke(node=name, value=value)
     replies = await run.together(*(opcua.call("read", node=f"ns=2;s={name}") for name in values))
     for reply, value in zip(replies, values.values(), strict=True):
         run.succeeds(reply, value=value, status="Good")
@@ -326,14 +326,14 @@ async def concurrent_node_read_and_write(run: Repetition, opcua: Rig) -> None:
     """
     old, new = (round(run.rng.uniform(0.0, 100.0), 6) for _ in range(2))
     speed = "ns=2;s=FanSpeed"
-    await opcua.poke(node="FanSpeed", value=old)
+    await opcua.device.poke(node="FanSpeed", value=old)
     read, written = await run.together(opcua.call("read", node=speed), opcua.call("write", node=speed, value=new))
     run.succeeds(read, status="Good")
     run.one_of(read, "value", old, new)
     run.succeeds(written, value=new)
     run.witnessed(
         oracle.exactly_one_write(await opcua.journal(), speed, new),
-        oracle.image_holds(await opcua.image(), speed, new),
+        oracle.image_holds(await opcua.device.image(), speed, new),
     )
 
 
@@ -358,7 +358,7 @@ async def rapid_node_reads(run: Repetition, opcua: Rig) -> None:
         name = SENSORS[index % len(SENSORS)]
         value = round(run.rng.uniform(0.0, 100.0), 6)
         if index < len(SENSORS):
-            await opcua.poke(node=name, value=value)
+            await opcua.device.poke(node=name, value=value)
             run.notes[name] = value
         reply = await opcua.call("read", node=f"ns=2;s={name}")
         run.succeeds(reply, value=run.notes[name], status="Good")

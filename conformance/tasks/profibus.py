@@ -86,9 +86,9 @@ async def the_outputs_are_kept_alive(run: Repetition, profibus: Rig) -> None:
     """
     asked = some_outputs(run)
     run.succeeds(await further.call(profibus, asked), **asked.outputs)
-    watchdog_s = oracle.watchdog_s(await profibus.image(), VALVES)
+    watchdog_s = oracle.watchdog_s(await profibus.device.image(), VALVES)
     await profibus.watch(KEPT_ALIVE * min(watchdog_s or 0.0, LONGEST_WATCHDOG_S))
-    run.witnessed(oracle.holds(await profibus.image(), asked.points))
+    run.witnessed(oracle.holds(await profibus.device.image(), asked.points))
 
 
 @TASKS.task(
@@ -108,13 +108,13 @@ async def guarded_write(run: Repetition, profibus_ro: Rig) -> None:
     """
     read = some_inputs(run)
     await further.set_up(profibus_ro, read)
-    before = await profibus_ro.image()
+    before = await profibus_ro.device.image()
     reply = await further.call(profibus_ro, some_outputs(run))
     run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.succeeds(await further.call(profibus_ro, read), **read.outputs)
     run.witnessed(
         oracle.nothing_driven(await profibus_ro.journal()),
-        oracle.only_changed(before, await profibus_ro.image(), {}, otherwise="WR-004"),
+        oracle.only_changed(before, await profibus_ro.device.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -155,7 +155,7 @@ async def outputs_depend_on_their_master(run: Repetition, profibus: Rig) -> None
     """
     asked = some_outputs(run)
     run.succeeds(await further.call(profibus, asked), **asked.outputs)
-    image = await profibus.image()
+    image = await profibus.device.image()
     run.witnessed(
         oracle.holds(image, asked.points),
         oracle.has_watchdog(image, VALVES),
@@ -172,12 +172,12 @@ async def outputs_fall_with_their_master(run: Repetition, profibus: Rig) -> None
     """
     asked = some_outputs(run)
     run.succeeds(await further.call(profibus, asked), **asked.outputs)
-    watchdog_s = oracle.watchdog_s(await profibus.image(), VALVES)
+    watchdog_s = oracle.watchdog_s(await profibus.device.image(), VALVES)
     await profibus.fresh_session()
-    if watchdog_s is not None and oracle.cleared(await profibus.image(), VALVES, requirement="MCP-009"):
+    if watchdog_s is not None and oracle.cleared(await profibus.device.image(), VALVES, requirement="MCP-009"):
         # A second more than it takes: the machine may be busy.
         await profibus.wait_for(timeout_s=watchdog_s + 1.0, kind="watchdog", station=VALVES)
-    run.witnessed(oracle.cleared(await profibus.image(), VALVES, requirement="MCP-009"))
+    run.witnessed(oracle.cleared(await profibus.device.image(), VALVES, requirement="MCP-009"))
 
 
 @TASKS.task(
@@ -197,9 +197,9 @@ async def scan_bus(run: Repetition, profibus: Rig) -> None:
     """
     absent = run.rng.choice(STATIONS)
     there = [station for station in STATIONS if station != absent]
-    await profibus.poke(station=absent, present=False)
+    await profibus.device.poke(station=absent, present=False)
     reply = await profibus.call("scan_bus")
-    await profibus.poke(station=absent, present=True)
+    await profibus.device.poke(station=absent, present=True)
     run.succeeds(reply, addresses=there)
     seen = reply.during(await profibus.journal())
     run.witnessed(*(oracle.answered_by(seen, station) for station in there))
@@ -222,7 +222,7 @@ async def read_missing_station(run: Repetition, profibus: Rig) -> None:
     Seen: the request, which nobody answers, or none.
     Why: an assistant that gets zeros from a station that does not exist believes the zeros.
     """
-    missing = profibus.probe("missing_station")
+    missing = profibus.subject.probe("missing_station")
     reply = await profibus.call("read_inputs", slave=missing)
     if oracle.reached(reply.during(await profibus.journal()), missing):
         run.fails(reply, "timeout", requirement="ERR-002")
@@ -279,14 +279,14 @@ async def write_to_anothers_slave(run: Repetition, profibus: Rig) -> None:
     Seen: no change of its output.
     Why: a slave with two masters does what the last one said, and the other one does not know.
     """
-    before = await profibus.image()
+    before = await profibus.device.image()
     reply = await profibus.call("write_outputs", slave=OTHERS, data=[run.rng.randrange(1, 0x100)])
     if oracle.reached(reply.during(await profibus.journal()), OTHERS):
         run.fails(reply, "access_denied", outcome=("not_sent", "rejected"), requirement="ERR-002")
     else:
         codes = ("access_denied", "illegal_address", "config_error")
         run.fails(reply, *codes, outcome="not_sent", requirement="ERR-002")
-    run.witnessed(oracle.only_changed(before, await profibus.image(), {}, otherwise=untold(reply, "ERR-002")))
+    run.witnessed(oracle.only_changed(before, await profibus.device.image(), {}, otherwise=untold(reply, "ERR-002")))
 
 
 @TASKS.task(
@@ -304,12 +304,12 @@ async def write_to_another_device(run: Repetition, profibus: Rig) -> None:
     Seen: no outputs for it.
     Why: a device that was exchanged for one of another kind does something else with the same bytes.
     """
-    await profibus.poke(station=VALVES, ident=f"{run.rng.randrange(0x8000):04x}")
-    before = await profibus.image()
+    await profibus.device.poke(station=VALVES, ident=f"{run.rng.randrange(0x8000):04x}")
+    before = await profibus.device.image()
     asked = some_outputs(run)
     reply = await further.call(profibus, asked)
-    after = await profibus.image()
-    await profibus.poke(station=VALVES, ident=oracle.IDENT[VALVES])
+    after = await profibus.device.image()
+    await profibus.device.poke(station=VALVES, ident=oracle.IDENT[VALVES])
     run.fails(reply, "config_error", outcome=("not_sent", "rejected"), requirement="ERR-002")
     run.witnessed(
         oracle.no_outputs_sent(

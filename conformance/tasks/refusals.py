@@ -50,9 +50,9 @@ async def no_register_follows_the_last(run: Repetition, modbus: Rig) -> None:
 
 async def a_busy_device_is_no_success(run: Repetition, modbus: Rig) -> None:
     """Read while the device answers that it is busy."""
-    await modbus.fault({"action": {"exception": _BUSY}})
+    await modbus.device.fault({"action": {"exception": _BUSY}})
     reply = await modbus.call("read_holding", address=40, count=1)
-    await modbus.fault()
+    await modbus.device.fault()
     run.fails(reply, "device_busy", requirement="ERR-002")
 
 
@@ -61,13 +61,13 @@ async def malformed_answers_are_survived(run: Repetition, modbus: Rig) -> None:
 
     An adapter may end the connection on such an answer, so one that does not connect again by itself is not asked.
     """
-    if not (modbus.claims("recovery") and modbus.reconnects):
+    if not (modbus.subject.claims("recovery") and modbus.subject.reconnects):
         return
     await _short_answer(run, modbus)
     await _one_works_again(run, modbus)
-    await modbus.fault({"times": 1, "action": {"garbage": True}})
+    await modbus.device.fault({"times": 1, "action": {"garbage": True}})
     reply = await modbus.call("read_holding", address=40, count=1)
-    await modbus.fault()
+    await modbus.device.fault()
     # An adapter that asks a second time has an answer.
     if not reply.success:
         run.fails(reply, "protocol_error", *CONNECTION_FAULTS, requirement="RD-005", code_requirement="ERR-002")
@@ -84,9 +84,9 @@ async def _short_answer(run: Repetition, modbus: Rig) -> None:
     if not modbus.can_ask("read_holding", block):
         return
     short = [run.rng.randrange(1, 0x10000) for _ in range(2)]
-    await modbus.fault({"action": {"answer_values": short}})
+    await modbus.device.fault({"action": {"answer_values": short}})
     reply = await modbus.call("read_holding", **block)
-    await modbus.fault()
+    await modbus.device.fault()
     if not reply.success:
         run.fails(reply, "protocol_error", *CONNECTION_FAULTS, requirement="RD-005", code_requirement="ERR-002")
     else:
@@ -115,9 +115,9 @@ async def a_fraction_is_not_cut_off(run: Repetition, modbus: Rig) -> None:
     if not modbus.can_ask("write_holding", fraction):
         return
     await modbus.prove()
-    before = await modbus.image()
+    before = await modbus.device.image()
     reply = await modbus.call("write_holding", **fraction)
-    after = await modbus.image()
+    after = await modbus.device.image()
     if reply.success:
         told = reply.outputs.get("value")
         run.judge(
@@ -143,17 +143,17 @@ async def filters_are_no_topics(run: Repetition, mqtt: Rig) -> None:
     await mqtt.watch(QUIET_S)
     journal = await mqtt.journal()
     run.witnessed(
-        mqtt_oracle.not_published(journal, payload.encode(), requirement="ADR-006", declared=mqtt.declared),
+        mqtt_oracle.not_published(journal, payload.encode(), requirement="ADR-006", declared=mqtt.subject.declared),
         mqtt_oracle.session_stays_up(journal),
     )
 
 
 async def the_text_false_is_not_true(run: Repetition, opcua: Rig) -> None:
     """Write the text "false" to a variable that is true or false."""
-    await opcua.poke(node="PumpEnabled", value=False)
+    await opcua.device.poke(node="PumpEnabled", value=False)
     reply = await opcua.call("write", node=_PUMP_ENABLED, value="false")
-    holds = opcua_oracle.held(await opcua.image(), _PUMP_ENABLED)
-    await opcua.poke(node="PumpEnabled", value=True)
+    holds = opcua_oracle.held(await opcua.device.image(), _PUMP_ENABLED)
+    await opcua.device.poke(node="PumpEnabled", value=True)
     if not reply.success:
         run.fails(reply, "type_mismatch", "invalid_input", outcome=("not_sent", "rejected"), requirement="ADR-004")
     if holds is not False:
@@ -168,18 +168,18 @@ async def the_text_false_is_not_true(run: Repetition, opcua: Rig) -> None:
 async def a_bad_value_is_no_success(run: Repetition, opcua: Rig) -> None:
     """Read a variable while its sensor has failed."""
     # Set at the node, it also reaches an adapter that has itself notified.
-    await opcua.poke(node="Temperature", value=0.0, status="BadSensorFailure")
+    await opcua.device.poke(node="Temperature", value=0.0, status="BadSensorFailure")
     reply = await opcua.call("read", node="ns=2;s=Temperature")
-    await opcua.poke(node="Temperature", value=0.0)
+    await opcua.device.poke(node="Temperature", value=0.0)
     run.fails(reply, "bad_quality", "device_failure", requirement="OUA-002", code_requirement="ERR-003")
 
 
 async def a_long_browse_is_complete(run: Repetition, opcua: Rig) -> None:
     """Browse while the server sends few references in one answer."""
-    await opcua.poke(limits={"references_per_node": _REFERENCES})
-    image = await opcua.image()
+    await opcua.device.poke(limits={"references_per_node": _REFERENCES})
+    image = await opcua.device.image()
     reply = await opcua.call("browse", node=opcua_oracle.folder_id(image, "Actuators"))
-    await opcua.poke(limits={"references_per_node": 0})
+    await opcua.device.poke(limits={"references_per_node": 0})
     run.succeeds(reply)
     actuators = opcua_oracle.children_of(image, "Actuators")
     run.witnessed(

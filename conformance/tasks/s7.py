@@ -113,12 +113,12 @@ async def write_one_bit(run: Repetition, s7: Rig) -> None:
     Why: who reads a byte, changes a bit and writes the byte takes back what the program has done meanwhile.
     """
     start = run.rng.randrange(0x100) & ~0x20
-    await s7.poke(area="M", byte=3, data=f"{start:02x}")
-    await s7.poke(restless=[{"area": "M", "byte": 3, "bits": 0x40}])
-    before = await s7.image()
+    await s7.device.poke(area="M", byte=3, data=f"{start:02x}")
+    await s7.device.poke(restless=[{"area": "M", "byte": 3, "bits": 0x40}])
+    before = await s7.device.image()
     reply = await s7.call("write_marker", byte=3, bit=5, value=True)
-    after = await s7.image()
-    await s7.poke(restless=[])
+    after = await s7.device.image()
+    await s7.device.poke(restless=[])
     run.succeeds(reply, value=True)
     turned = 0x40 if oracle.changes_of_restless_bits(after) % 2 else 0
     run.witnessed(
@@ -142,9 +142,9 @@ async def read_operating_state(run: Repetition, s7: Rig) -> None:
     Seen: the controller answers a request during each call.
     Why: a client that says RUN whatever the controller answers hides that nothing is controlled any more.
     """
-    await s7.poke(cpu="STOP")
+    await s7.device.poke(cpu="STOP")
     stopped = await s7.call("read_cpu_state")
-    await s7.poke(cpu="RUN")
+    await s7.device.poke(cpu="RUN")
     running = await s7.call("read_cpu_state")
     run.succeeds(stopped, state="STOP")
     run.succeeds(running, state="RUN")
@@ -167,11 +167,11 @@ async def stop_and_start(run: Repetition, s7: Rig) -> None:
     Why: a command that was acknowledged and not carried out leaves a machine running that everybody believes to stand.
     """
     stopped = await s7.call("set_cpu_state", state="STOP")
-    halted = await s7.image()
+    halted = await s7.device.image()
     started = await s7.call("set_cpu_state", state="RUN")
-    after = await s7.image()
+    after = await s7.device.image()
     # A CPU that has not been started again would stay so for all items that follow.
-    await s7.poke(cpu="RUN")
+    await s7.device.poke(cpu="RUN")
     run.succeeds(stopped, state="STOP")
     run.succeeds(started, state="RUN")
     journal = await s7.journal()
@@ -237,9 +237,9 @@ async def read_what_is_not_permitted(run: Repetition, s7: Rig) -> None:
     """
     asked = value_at(40).any(run.rng)
     await further.set_up(s7, asked)
-    await s7.poke(put_get=False)
+    await s7.device.poke(put_get=False)
     refused = await further.call(s7, asked)
-    await s7.poke(put_get=True)
+    await s7.device.poke(put_get=True)
     read = await further.call(s7, asked)
     run.fails(refused, "access_denied", "unsupported_operation", requirement="RD-005", code_requirement="ERR-002")
     run.succeeds(read, **asked.outputs)

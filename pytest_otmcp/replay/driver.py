@@ -16,11 +16,11 @@ from ..session.canary import Leak
 from ..subject.model import READ_WRITE
 from ..trial.driver import ItemHistory, SessionFacts
 from ..trial.repetition import Repetition
-from ..trial.rig import EndedError, adapter_name
+from ..trial.rig import EndedError, Rig, adapter_name
 from ..trial.task import Steps, Task, execute
 from .device import DeviceHistory
+from .player import Clock, RecordedAdapter, RecordedRepetition, ReplayItemState, StoredPlayer
 from .reply import UNREADABLE, HistoryError, at_its_place
-from .rig import Clock, RecordedAdapter, RecordedRepetition, ReplayItemState, ReplayRig
 
 __all__ = ["ReplayDriver", "UnfinishedError"]
 
@@ -69,6 +69,7 @@ class ReplayDriver:
         self._repetitions = 0
         self._around = list(item.head["around"])
         self._states: list[ReplayItemState] = []
+        self._players: list[StoredPlayer] = []
         self._inspections = 0
         self._ended = item.head["ended"]
 
@@ -133,6 +134,7 @@ class ReplayDriver:
         if any((entry["protocol"], entry.get("variant", READ_WRITE)) not in taken for entry in part["device"]):
             raise HistoryError(f"{role} has journal entries of a device that the item did not have")
         past = RecordedRepetition(part["calls"], part["observations"], self._clock)
+        self._players = [StoredPlayer(state, past, part["device"]) for state in self._states]
         return Repetition(
             self._task.id,
             rep,
@@ -141,7 +143,7 @@ class ReplayDriver:
             time_scale=self._time_scale,
             soak=self._soak,
             is_check=self._task.suite == REQUIREMENTS,
-            rigs=[ReplayRig(state, past, part["device"]) for state in self._states],
+            rigs=map(Rig, self._players),
         )
 
     def _end(self) -> Exception:
@@ -168,20 +170,18 @@ class ReplayDriver:
             except EndedError:
                 repetition.ended_early = True
                 for at in repetition.all:
-                    if not at.running:
+                    if not at.device.running:
                         await at.start_device()
             await repetition.close_journals()
-            for at in repetition.all:
-                if isinstance(at, ReplayRig):
-                    at.finish()
+            for player in self._players:
+                player.finish()
         except HistoryError as objection:
             self.objections[repetition.role, repetition.rep] = str(objection)
         except UNREADABLE as error:
             # An oracle has met data that no adapter and no device of the kit can have sent.
             self.objections[repetition.role, repetition.rep] = f"it cannot be judged ({at_its_place(error)})"
-        for at in repetition.all:
-            if isinstance(at, ReplayRig):
-                at.leave()
+        for player in self._players:
+            player.leave()
         for state in self._states:
             state.history.cursor.looked_through = True
 

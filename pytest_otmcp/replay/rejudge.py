@@ -27,8 +27,8 @@ from ..trial.trial import Trial
 from .device import DeviceHistory
 from .difference import Difference, FindingDiffers, MemberDiffers, Objection, short
 from .driver import ReplayDriver, UnfinishedError
+from .player import RecordedAdapter
 from .reply import UNREADABLE, HistoryError, at_its_place, restored_bindings
-from .rig import RecordedAdapter
 
 __all__ = ["differences", "rejudge"]
 

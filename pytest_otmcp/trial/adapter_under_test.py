@@ -24,16 +24,18 @@ from ..plant.endpoint import endpoint_values
 from ..plant.owners import TOKEN_VARIABLE, new_token
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts, StoredBinding, ToolListing, ToolsChanged, VariantName
+from ..record.schema import AdapterFacts, Footprint, StoredBinding, ToolListing, ToolsChanged, VariantName
 from ..record.schema import Device as DeviceFacts
 from ..session.canary import CANARY_VARIABLE, Leak, SecretSearch, new_canary
 from ..session.exchange import Exchange, joined
+from ..session.footprint import footprint
 from ..session.limits import Allowance
 from ..session.pace import Pace
 from ..session.process import StopReport
 from ..session.session import McpSession, SessionOptions
 from ..subject.addressing import addressed_by, carries_address
 from ..subject.answers import Answer, interpret, read_answer
+from ..subject.claims import Claims
 from ..subject.comparison import stored_bindings
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
 from ..subject.handles import Handles
@@ -53,6 +55,7 @@ from ..subject.model import (
 from .alteration import Alteration, expanded
 from .cursor import JournalCursor
 from .reply import Expectation, Reply, kept_of, observe, replace_outputs
+from .stated import Stated
 
 __all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "EndedSession"]
 
@@ -121,6 +124,7 @@ class AdapterUnderTest:
         tools: what the adapter last listed, name to its entry; None as long as no session was opened.
         first: sequence number at which the adapter took over the journal of its device.
         cursor: where the adapter is in the journal of its device.
+        stated: what the subject states of the adapter.
         used: operations that were performed.
         legacy: the adapter ended at the first request of today's handshake, and was started with the one of 2025-11-25.
         unmet: requirements of the envelope that the adapter's own answers do not meet, where it does not claim to have one.
@@ -167,6 +171,8 @@ class AdapterUnderTest:
         self._pace = None if limit is None else Pace(limit.calls, limit.per_s)
         self.first = first
         self.cursor = JournalCursor(adapter.protocol, first)
+        claims = Claims.of_subject({adapter.protocol: adapter})
+        self.stated = Stated(adapter.protocol, adapter.facts(), claims, addressed_by=addressed_by(adapter))
 
     @property
     def deadline_s(self) -> float:
@@ -274,8 +280,31 @@ class AdapterUnderTest:
         self.device.sessions.begin(self._token, lambda: session.pid)
         return session
 
-    def take_file(self, name: str) -> bool:
+    async def footprint(self) -> Footprint:
+        """Return what the processes of the session take of the machine."""
+        return footprint(None if self.session is None else self.session.pid)
+
+    async def listed(self) -> dict[str, ToolListing]:
+        """Return what the session's ``tools/list`` says, name to entry, as far as it is judged."""
+        return {name: entry for name in self._current().tools if (entry := self.listing(name)) is not None}
+
+    async def list_anew(self) -> str:
+        """Ask for the list of tools again; see :meth:`pytest_otmcp.session.session.McpSession.list_anew`."""
+        return await self._current().list_anew(timeout_s=self.deadline_s)
+
+    async def write_line(self, line: str) -> bool:
+        """Write a line to the adapter's standard input as it is; return whether there is such a stream."""
+        return self._current().write_line(line.encode("utf-8", "surrogateescape"))
+
+    async def stderr_tail(self) -> list[str]:
+        """Return the newest lines that the adapter has written to standard error, oldest first."""
+        return self._current().stderr_tail()
+
+    async def made_file(self, name: str) -> bool:
         """Return whether a file of this name is in a folder that the adapter works in, and remove it."""
+        return self._take_file(name)
+
+    def _take_file(self, name: str) -> bool:
         folders = {self.adapter.variants[self.variant].cwd or Path.cwd()}
         if self._work is not None:
             folders.add(Path(self._work.name))

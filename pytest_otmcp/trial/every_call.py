@@ -96,7 +96,9 @@ def _judge_by_journal(at: Rig, ledger: Ledger) -> None:
         for call in window.calls:
             if call.proof:
                 continue
-            for finding in meta_faults(window, call, protocol=protocol, declared=at.declared, addresses=at.addresses):
+            for finding in meta_faults(
+                window, call, protocol=protocol, declared=at.subject.declared, addresses=at.device.addresses
+            ):
                 if not (_NOT_ASKED in known and finding.code in _OF_NO_EXCHANGE):
                     ledger.reject(call.reply, finding)
     faults = at.session_faults()
@@ -105,7 +107,7 @@ def _judge_by_journal(at: Rig, ledger: Ledger) -> None:
         ledger.witnessed(faults)
     ledger.witnessed(connections_left(entries))
     known = {finding.code for finding in ledger.findings}
-    unasked = unasked_writes(made, entries, protocol=protocol, declared=at.declared, variant=at.variant)
+    unasked = unasked_writes(made, entries, protocol=protocol, declared=at.subject.declared, variant=at.variant)
     for finding, reader in unasked:
         if reader is not None and finding.requirement == "MCP-008":
             ledger.caused_by(reader.reply.tool, _CONSEQUENCES)

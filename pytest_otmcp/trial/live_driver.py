@@ -21,9 +21,9 @@ from .applicability import applicability, participants
 from .bench import Bench
 from .driver import ItemHistory, SessionFacts
 from .gc_pause import uncollected
-from .live_rig import LiveItemState, LiveRig
+from .live_player import LiveItemState, LivePlayer
 from .repetition import Repetition
-from .rig import EndedError, adapter_name
+from .rig import EndedError, Rig, adapter_name
 from .task import Steps, Task, execute
 
 __all__ = ["LiveDriver"]
@@ -44,6 +44,7 @@ class LiveDriver:
         self._seed = seed
         self._before = dict(bench.spent.seconds)
         self._states: list[LiveItemState] = []
+        self._players: list[LivePlayer] = []
         self._sessions: list[SessionRemark] = []
         self._started = datetime.now(UTC)
         self._began_ns = time.monotonic_ns()
@@ -85,6 +86,7 @@ class LiveDriver:
     def repetition(self, rep: int, role: Role) -> Repetition:
         """Return a repetition on this bench; what the one before it was answered is not kept any more."""
         self._bench.allowance.renew()
+        self._players = [LivePlayer(state, self._bench) for state in self._states]
         return Repetition(
             self._task.id,
             rep,
@@ -93,7 +95,7 @@ class LiveDriver:
             time_scale=self._bench.options.time_scale,
             soak=self._bench.options.soak,
             is_check=self._task.suite == REQUIREMENTS,
-            rigs=[LiveRig(state, self._bench) for state in self._states],
+            rigs=map(Rig, self._players),
         )
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
@@ -118,9 +120,8 @@ class LiveDriver:
             await repetition.close_journals()
         for state in self._states:
             state.under_test.cursor.looked_through = True
-        for at in repetition.all:
-            if isinstance(at, LiveRig):
-                at.add_last_words()
+        for player in self._players:
+            player.add_last_words()
 
     async def inspect(self) -> list[SessionFacts]:
         """End the sessions of variants with devices of their own, and ask all sessions of the item for stray output."""
@@ -253,5 +254,5 @@ def _instant(moment: datetime) -> str:
 
 async def _all_running(repetition: Repetition) -> None:
     for at in repetition.all:
-        if not at.running:
+        if not at.device.running:
             await at.start_device()

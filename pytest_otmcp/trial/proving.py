@@ -18,6 +18,7 @@ from ..protocols.journal import JournalEntry
 from ..protocols.proof import ENOUGH_BITS, Question, Way
 from ..protocols.registry import protocols
 from .reply import Reply
+from .stated import Stated
 
 __all__ = ["ARRIVAL", "Provable", "prove", "why_reachable"]
 
@@ -40,30 +41,30 @@ _ADDRESS = re.compile(
 )
 
 
+class _Device(Protocol):
+    @property
+    def url(self) -> str:
+        """Where it listens."""
+
+    async def poke(self, **params: object) -> None:
+        """Set a value out of band."""
+
+
 class Provable(Protocol):
     """An adapter at its device, as far as a proof needs them."""
 
     protocol: str
+    subject: Stated
 
     @property
-    def device_url(self) -> str:
-        """Where the mock device is."""
-
-    @property
-    def addressed_by(self) -> Sequence[str]:
-        """Keys of the subject file that tell the adapter where the device is."""
+    def device(self) -> _Device:
+        """The mock device."""
 
     def can_ask_first(self, operation: str, inputs: Mapping[str, object]) -> bool:
         """The subject claims the operation and says how to ask for it with these inputs, before any other operation."""
 
-    def blocks(self, operation: str) -> bool:
-        """The operation is performed by a call that waits for what it answers."""
-
     async def ask(self, operation: str, inputs: Mapping[str, object]) -> Reply:
         """Perform an operation that writes nothing; nothing is expected of its reply."""
-
-    async def poke(self, **params: object) -> None:
-        """Set a value out of band."""
 
     async def journal(self) -> list[JournalEntry]:
         """Return what has reached the device; every answer goes on where the one before ended."""
@@ -107,7 +108,7 @@ async def prove(
     failed: list[_Attempt] = []
     strong, bits, unlisted = False, 0, set[str]()
     for way in sorted(proof.ways, key=lambda way: way.operation != preferred):
-        if (way.weak and strong) or way.waiting not in (None, at.blocks(way.operation)):
+        if (way.weak and strong) or way.waiting not in (None, at.subject.blocks(way.operation)):
             continue
         question = way.ask(rng)
         if not at.can_ask_first(way.operation, question.inputs):
@@ -139,7 +140,7 @@ async def _try(
         before = len(await at.journal())
         while True:
             for poke in question.pokes:
-                await at.poke(**poke)
+                await at.device.poke(**poke)
             reply = await at.ask(way.operation, question.inputs)
             if not reply.listed:
                 return None
@@ -175,7 +176,7 @@ async def why_reachable(at: Provable, *, time_scale: float) -> str | None:
         if not failures:
             if reply.exchange.sent_ns - begun_ns >= _NOTICING_S * time_scale * 1e9:
                 return (
-                    f"the mock device at {at.device_url} is stopped, and {reply.label} still succeeds: the answer comes from "
+                    f"the mock device at {at.device.url} is stopped, and {reply.label} still succeeds: the answer comes from "
                     f"memory or from another device; nothing was written"
                 )
             await at.pause(_PAUSE_S)
@@ -189,7 +190,7 @@ def _is_cut_off(reply: Reply) -> bool:
 
 def _explained(at: Provable, failed: Sequence[_Attempt], *, known: bool) -> str:
     told = next((attempt for attempt in failed if attempt.reply.success and not attempt.reached), None)
-    where = f"the mock device at {at.device_url}"
+    where = f"the mock device at {at.device.url}"
     if told is not None:
         # An adapter that answers, while the mock sees nothing, has its answers from somewhere else.
         problem = (
@@ -222,7 +223,7 @@ def _unprovable(at: Provable, *, arrived: bool) -> str:
         arrival = "; a connection that the adapter makes when it starts is enough, and "
         arrival += "that counted until a write that it reported did not reach the mock" if arrived else "it made none"
     return (
-        f"{at.protocol}: nothing is written before a read has shown that the adapter talks to the mock device at {at.device_url}, and the "
+        f"{at.protocol}: nothing is written before a read has shown that the adapter talks to the mock device at {at.device.url}, and the "
         f"subject file binds none: bind {ways}{arrival}"
     )
 
@@ -239,7 +240,7 @@ def _outcome(reply: Reply) -> str:
 
 def _named(at: Provable, failed: Sequence[_Attempt]) -> str:
     """Say which device an answer names, if it names another one than the mock."""
-    mock = at.device_url.rpartition("://")[2].rstrip("/")
+    mock = at.device.url.rpartition("://")[2].rstrip("/")
     for attempt in failed:
         for found in _ADDRESS.findall(json.dumps(attempt.reply.envelope, ensure_ascii=False, default=str)):
             if found.rpartition("://")[2] != mock:
@@ -248,7 +249,7 @@ def _named(at: Provable, failed: Sequence[_Attempt]) -> str:
 
 
 def _advice(at: Provable) -> str:
-    keys = ", ".join(at.addressed_by)
+    keys = ", ".join(at.subject.addressed_by)
     if not keys:
         return f"Nothing below [adapter.{at.protocol}] of the subject file holds {{host}}, {{port}} or {{url}}."
     return f"Look at {keys} below [adapter.{at.protocol}] of the subject file: is that where the adapter takes its address from?"

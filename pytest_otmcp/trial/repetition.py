@@ -127,7 +127,7 @@ class Repetition:
     async def close_journals(self) -> None:
         """Keep the journal entries of this repetition, at its end."""
         for at in self.all:
-            if at.running:
+            if at.device.running:
                 await at.keep_journal()
 
     def witnessed(self, *findings: list[Finding]) -> None:

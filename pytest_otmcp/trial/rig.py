@@ -1,36 +1,35 @@
 """The rig: one adapter at its device, as the steps of a repetition see it.
 
-A task's steps are judged in the same way whether adapter and device run or not: :class:`Rig` is extended by ``live_rig``,
-which uses a running adapter and device, and by ``replay.rig``, which reads the stored history of a run.
+It has three parts: ``subject``, what the subject states of the adapter; ``device``, at which the steps look and which they change; and
+``session``, at which they look beside its calls. Calls, the life of device and session, and what is judged of them are the rig's own. A
+task's steps are judged in the same way whether adapter and device run or not: a player (``player``) does what they ask for, or hands out
+what the history of a run has of it.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar, cast
+from dataclasses import replace
+from typing import Any, cast
 
 from ..core.finding import Finding
 from ..core.verdict import INEXPRESSIBLE
-from ..protocols.bounds import Bounds, Times
 from ..protocols.journal import ADAPTER, judged
-from ..protocols.protocol import Declared
 from ..protocols.registry import protocols
-from ..record.schema import DeviceEntry, Footprint, HandshakeEra, Role, ToolListing
+from ..record.schema import DeviceEntry, Footprint, Role
 from ..subject.command import Command, names_in
 from ..subject.model import READ_WRITE, Binding
 from .alteration import Alteration
-from .cursor import JournalCursor, Oracle
+from .cursor import Oracle
 from .ledger import Entry, Ledger
 from .limits import excess
+from .player import FreshSession, Player
 from .reply import Reply
+from .session_in_rig import SessionInRig
 from .write_gate import EndedError, WriteGate
 
 __all__ = ["Command", "EndedError", "Entry", "Footprint", "FreshSession", "Rig", "adapter_name"]
-
-T = TypeVar("T")
 
 
 def adapter_name(protocol: str, variant: str) -> str:
@@ -41,103 +40,30 @@ def adapter_name(protocol: str, variant: str) -> str:
 _NOTICING_PAUSE_S = 0.05
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FreshSession:
-    """A session that replaced another one.
-
-    Attributes:
-        spawned_ns: monotonic; when its process was started.
-        opened: sequence number of the device's journal at which it began.
-        ended: how the process before it ended: ``exited``, ``terminated``, ``killed``; None when there was no process.
-        seconds: how long the end took.
-    """
-
-    spawned_ns: int
-    opened: int
-    ended: str | None
-    seconds: float
-
-
 class Rig(WriteGate):
     """One adapter at its device.
 
     Attributes:
         protocol, variant: the adapter whose session it is, such as ``modbus`` and ``rw``.
         name: protocol and variant in one, such as ``modbus`` and ``modbus@ro``.
+        session: a look at the session beside its calls.
     """
 
-    def __init__(self, protocol: str, variant: str, cursor: JournalCursor) -> None:
-        super().__init__(protocol, cursor)
-        self.variant = variant
-        self.name = adapter_name(protocol, variant)
+    def __init__(self, player: Player) -> None:
+        super().__init__(player)
+        self.variant = player.variant
+        self.name = adapter_name(player.protocol, player.variant)
+        self.session = SessionInRig(player)
 
     def join(self, ledger: Ledger) -> None:
         """Write into the ledger of a repetition from now on."""
         self._ledger = ledger
+        self._player.join(ledger)
 
     @property
     def time_scale(self) -> float:
         """The factor on windows and deadlines."""
         return self._ledger.time_scale
-
-    # -- what the subject says of itself ------------------------------------------------------------------
-
-    @abstractmethod
-    def max_age_s(self, operation: str) -> float | None:
-        """Return how old the operation's answer may be, as the subject declares; None when it must come from the device."""
-
-    @property
-    @abstractmethod
-    def native(self) -> bool:
-        """The adapter claims to answer in envelopes of its own."""
-
-    @property
-    @abstractmethod
-    def recovery_s(self) -> float:
-        """The time within which work goes on after an outage, as the subject declares."""
-
-    @property
-    @abstractmethod
-    def declared(self) -> Declared:
-        """The lists of the protocol's own keys in the subject file."""
-
-    @property
-    @abstractmethod
-    def bounds(self) -> Bounds:
-        """The targets and limits that the variant ``bounded`` was told, as the subject declares."""
-
-    @property
-    @abstractmethod
-    def times(self) -> Times | None:
-        """What follows from what the variant ``retimed`` was told, as the subject declares; None where it has no such variant."""
-
-    @abstractmethod
-    def probe(self, name: str) -> Any:
-        """Return the value of this probe: the input to use where the request must be refused."""
-
-    @property
-    @abstractmethod
-    def reconnects(self) -> bool:
-        """After an outage the adapter connects again without being asked to."""
-
-    @property
-    @abstractmethod
-    def lacks(self) -> Collection[str]:
-        """The optional inputs that no binding has a place for, such as ``subscribe.qos``."""
-
-    @abstractmethod
-    def judges(self, output: str) -> bool:
-        """Tell whether the subject says where this output is, such as ``messages.topic``, the topics of messages."""
-
-    def accepts_input(self, operation: str, name: str) -> bool:
-        """Tell whether the operation can be given this optional or voluntary input."""
-        if name in protocols()[self.protocol].operations[operation].voluntary_inputs:
-            return self.claims(f"{operation}.{name}")
-        return f"{operation}.{name}" not in self.lacks
-
-    def expected_if_accepted(self, operation: str, name: str, value: T) -> T | None:
-        """Return ``value`` if the tool accepts this optional input, else None: the device may have seen any value."""
-        return value if self.accepts_input(operation, name) else None
 
     def excess(self, operation: str, **inputs: object) -> str | None:
         """Return in words which bound of the tool's own schema a call with these inputs would not keep; None where it would keep
@@ -146,7 +72,7 @@ class Rig(WriteGate):
         binding = next((case for case in cases or () if case.fits(inputs)), None)
         if binding is None or binding.resource:
             return None
-        return self._excess(operation, binding.tool, binding.fill(inputs, self._placeholders))
+        return self._excess(operation, binding.tool, binding.fill(inputs, self._player.placeholders))
 
     # -- named commands -----------------------------------------------------------------------------------
 
@@ -156,7 +82,7 @@ class Rig(WriteGate):
         return [
             (name, case.command)
             for name in known
-            if known[name].writes and self.claims(name)
+            if known[name].writes and self.subject.claims(name)
             for case in self.bindings(name) or ()
             if case.command is not None
         ]
@@ -168,7 +94,7 @@ class Rig(WriteGate):
 
     def expresses(self, operation: str, inputs: Mapping[str, object]) -> bool:
         """Tell whether the subject's named commands can express these inputs, where it performs the operation by them alone."""
-        return not self.by_command_alone(operation) or self._is_bound(operation, inputs)
+        return not self.by_command_alone(operation) or self._player.is_bound(operation, inputs)
 
     def _is_command(self, operation: str, inputs: Mapping[str, object]) -> bool:
         return any(case.command is not None and case.fits(inputs) for case in self.bindings(operation) or ())
@@ -210,7 +136,7 @@ class Rig(WriteGate):
         self._must_express(operation, inputs)
         await self._before(operation)
         inputs = self._complete(operation, inputs)
-        reply = await self._perform(operation, inputs, altered)
+        reply = await self._player.perform(operation, inputs, altered)
         if reply.unread:
             reply = replace(reply, faults=(remark,))
         self._ledger.add(reply, inputs, altered=altered)
@@ -224,11 +150,11 @@ class Rig(WriteGate):
         self._must_express(operation, inputs)
         writes = await self._before(operation)
         inputs = self._complete(operation, inputs)
-        there = self.running
-        reply = await self._perform(operation, inputs, altered)
+        there = self.device.running
+        reply = await self._player.perform(operation, inputs, altered)
         if reply.success is False:
             reply = replace(reply, excess=self._excess(operation, reply.tool, reply.arguments))
-        self._ledger.add(reply, inputs, role, reachable=there and self.running, altered=altered)
+        self._ledger.add(reply, inputs, role, reachable=there and self.device.running, altered=altered)
         if writes:
             self._after(reply)
             # What a command of few values has failed to send will be asked for again.
@@ -242,7 +168,7 @@ class Rig(WriteGate):
         """Return inputs with what the schema of the tool requires beyond them, of that for which the operation has a default."""
         defaults = protocols()[self.protocol].operations[operation].defaults
         missing = {name: value for name, value in defaults.items() if name not in inputs}
-        given = {name: value for name, value in missing.items() if self.claims(f"{operation}.{name}")}
+        given = {name: value for name, value in missing.items() if self.subject.claims(f"{operation}.{name}")}
         arguments = self.arguments_of(operation, **inputs, **given) if given else None
         tool = self.tool_of(operation, **inputs)
         listing = None if tool is None or arguments is None else self.listing(operation, tool)
@@ -272,7 +198,9 @@ class Rig(WriteGate):
         await self._before(operation)
         inputs = self._complete(operation, inputs)
         with nullcontext() if meanwhile is None else self._ledger.one_group():
-            reply = await self._perform_and_cancel(operation, inputs, {"origin": ADAPTER, **seen}, timeout_s, meanwhile)
+            reply = await self._player.perform_and_cancel(
+                operation, inputs, {"origin": ADAPTER, **seen}, timeout_s, meanwhile
+            )
             self._ledger.add(reply, inputs)
         return reply
 
@@ -317,12 +245,12 @@ class Rig(WriteGate):
         while True:
             reply = await self.call(operation, **inputs)
             replies.append(reply)
-            end = window_ns + (replies[0].exchange.sent_ns if from_first_call else self.accepting_ns)
+            end = window_ns + (replies[0].exchange.sent_ns if from_first_call else self.device.accepting_ns)
             # A call may begin too early and answer late: only a call that began after the window is the last.
             if reply.success or (len(replies) > 1 and reply.exchange.sent_ns >= end):
                 return replies
             self._ledger.set_aside(reply)
-            await self._reconnecting()
+            await self._player.reconnecting()
 
     async def call_until_failure(self, operation: str, *, window_s: float, **inputs: Any) -> Reply:
         """Call until the adapter has noticed that the device is gone, or the window, counted from the first call, is over.
@@ -354,7 +282,7 @@ class Rig(WriteGate):
         """Keep what the device's journal holds of this repetition, before the device's process or the repetition ends."""
         # The read-only variant has a device of its own, whose entries count from 0 as well.
         variant = {} if self.variant == READ_WRITE else {"variant": self.variant}
-        entries = await self.take_slice()
+        entries = await self._player.take_slice()
         self._compare(judged(entries))
         self._claimed = 0
         kept = ({"protocol": self.protocol, **variant, **entry} for entry in entries)
@@ -363,14 +291,18 @@ class Rig(WriteGate):
     async def stop_device(self) -> float:
         """Kill the device process and keep its journal with this repetition; return the milliseconds that the kill took."""
         await self.keep_journal()
-        return await self._stop()
+        return await self._player.stop()
+
+    async def start_device(self) -> float:
+        """Start a new device process on the same port; return the milliseconds until it accepted connections."""
+        return await self._player.start()
 
     async def fresh_session(self) -> FreshSession:
         """End the adapter's session and process, and start anew; the new session is in use from now on."""
         # The oracles of the session that ends are to see what it did to its end.
-        if self.running:
+        if self.device.running:
             await self._feed()
-        fresh = await self._replace_session()
+        fresh = await self._player.replace_session()
         if fresh.ended in ("terminated", "killed"):
             self._ledger.finding(
                 "does_not_exit",
@@ -387,9 +319,22 @@ class Rig(WriteGate):
         Where the session is of that era already nothing is done: the adapter speaks no newer one, or the subject file says so.
         """
         # The oracles of the session that ends are to see what it did to its end.
-        if self.running:
+        if self.device.running:
             await self._feed()
-        return (await self._open_by_handshake())["revision"] is not None
+        return (await self._player.open_by_handshake())["revision"] is not None
+
+    async def close_handshake_era(self) -> None:
+        """End the session and its process; the next session is opened as the subject file and the run's options say."""
+        await self._player.close_handshake_era()
+
+    async def garble_switch(self) -> bool:
+        """After the session was closed, start the adapter with a write switch whose value means nothing; return whether there is a
+        session then."""
+        return await self._player.start_garbled()
+
+    async def close_session(self) -> None:
+        """End the adapter's session and its process."""
+        await self._player.close_session()
 
     def session_faults(self) -> list[Finding]:
         """Return what is wrong with the session as such, as far as its device has seen it; each fault once."""
@@ -401,155 +346,38 @@ class Rig(WriteGate):
             await self.prove()
             await self.keep_journal()
 
-    # -- how it is done -----------------------------------------------------------------------------------
-
-    @property
-    @abstractmethod
-    def addresses(self) -> list[tuple[str, int]]:
-        """Host and port of each endpoint of the device, the main one first."""
-
-    @property
-    @abstractmethod
-    def _placeholders(self) -> Mapping[str, str]:
-        """The placeholders of the subject file that stand for the device's endpoints, with their values."""
-
-    @abstractmethod
-    def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
-        """Return what ``tools/list`` says of the tool that a binding of this operation calls; None where it says nothing."""
-
-    @abstractmethod
-    def bindings(self, operation: str) -> Sequence[Binding] | None:
-        """Return the subject's bindings of an operation; None for one that a Python function performs."""
-
-    @abstractmethod
-    async def footprint(self) -> Footprint:
-        """Return what the processes of the session take of the machine."""
-
-    @abstractmethod
-    async def tool_list(self) -> Mapping[str, ToolListing]:
-        """Return the tools that the session listed at its start, name to entry."""
-
-    @abstractmethod
-    async def listed_tools(self) -> str:
-        """Ask for the list of tools again; see :meth:`pytest_otmcp.session.session.McpSession.list_anew`.
-
-        Raises:
-            SubjectError: there is no answer.
-        """
-
-    @abstractmethod
-    async def listing_took_s(self) -> float:
-        """Ask for the list of tools again, and return the seconds until it was there; raises as :meth:`listed_tools`."""
-
-    @abstractmethod
-    async def send_line(self, line: str) -> bool:
-        """Write a line to the adapter's standard input as it is; return whether there is such a stream."""
-
-    @abstractmethod
-    async def refuses(self, tool: str) -> bool | None:
-        """Call a tool that the adapter does not have, without arguments; return whether the answer is a failure, or None where there is
-        none within the deadline."""
-
-    @abstractmethod
-    async def made_file(self, name: str) -> bool:
-        """Return whether a file of this name has come to be where the adapter works, and remove it."""
-
-    @abstractmethod
-    async def stderr(self) -> list[str]:
-        """Return the newest lines that the adapter has written to standard error, oldest first."""
-
-    @property
-    @abstractmethod
-    def accepting_ns(self) -> int:
-        """Monotonic time since which the device accepts connections."""
+    # -- the journal --------------------------------------------------------------------------------------
 
     async def journal(self) -> list[Entry]:
-        return judged(await self._journal())
+        entries, _ = await self._player.entries("journal", self._cursor.next)
+        return judged(entries)
 
     async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
         """Return the adapter's journal entries of this repetition that match, as soon as there are ``count``, or after the
         timeout."""
-        return await self._wait({"origin": ADAPTER, **match}, timeout_s=timeout_s, count=count)
+        return await self._player.wait({"origin": ADAPTER, **match}, timeout_s=timeout_s, count=count)
 
     async def session_journal(self) -> list[Entry]:
         """Return the entries of this repetition since the adapter's session was opened.
 
         A session of earlier repetitions caused more entries than these: :meth:`follow` judges all of them.
         """
-        return judged(await self._session_journal())
+        entries, _ = await self._player.entries("session_journal", self._cursor.began)
+        return judged(entries)
 
     async def follow(self, kind: type[Oracle]) -> Oracle:
         """Return the session oracle of this kind, which has seen everything that the session did at the device so far."""
         await self._feed()
         return self._cursor.oracle(kind)
 
-    @abstractmethod
-    async def image(self) -> dict[str, object]:
-        """Return the values that the device really holds."""
+    async def _feed(self) -> None:
+        entries, end = await self._player.entries("followed", self._cursor.fed)
+        self._cursor.feed(entries, end)
 
-    @abstractmethod
-    async def fault(self, *rules: Mapping[str, object]) -> None:
-        """Replace the faults of the mock device by these, in the words of its fault plan; without any rule they end."""
+    def bindings(self, operation: str) -> Sequence[Binding] | None:
+        """Return the subject's bindings of an operation; None for one that a Python function performs."""
+        return self._player.bindings(operation)
 
-    @abstractmethod
-    async def delay(self, seconds: float) -> None:
-        """Have the device answer so many seconds late; 0 ends that."""
-
-    @abstractmethod
-    async def tick(self, steps: int) -> None:
-        """Let ``steps`` seconds of plant time pass."""
-
-    @abstractmethod
-    async def start_device(self) -> float:
-        """Start a new device process on the same port; return the milliseconds until it accepted connections."""
-
-    @abstractmethod
-    async def garble_switch(self) -> bool:
-        """After the session was closed, start the adapter with a write switch whose value means nothing; return whether there is a
-        session then."""
-
-    @abstractmethod
-    async def _open_by_handshake(self) -> HandshakeEra: ...
-
-    @abstractmethod
-    async def close_handshake_era(self) -> None:
-        """End the session and its process; the next session is opened as the subject file and the run's options say."""
-
-    @abstractmethod
-    async def close_session(self) -> None:
-        """End the adapter's session and its process."""
-
-    @abstractmethod
-    async def take_slice(self) -> list[Entry]:
-        """Take the journal since the repetition began; the next repetition's slice begins where this one ends."""
-
-    @abstractmethod
-    async def _journal(self) -> list[Entry]:
-        """Return the entries since this repetition began, whoever caused them."""
-
-    @abstractmethod
-    async def _session_journal(self) -> list[Entry]:
-        """Return the entries of this repetition since the adapter's session was opened, whoever caused them."""
-
-    @abstractmethod
-    async def _wait(self, match: Mapping[str, object], *, timeout_s: float, count: int) -> list[Entry]: ...
-
-    @abstractmethod
-    async def _reconnecting(self) -> None:
-        """Wait, after a failed call, until it makes sense to call again."""
-
-    @abstractmethod
-    async def _perform_and_cancel(
-        self,
-        operation: str,
-        inputs: Mapping[str, object],
-        seen: Mapping[str, object],
-        timeout_s: float,
-        meanwhile: Callable[[], Awaitable[object]] | None,
-    ) -> Reply: ...
-
-    @abstractmethod
-    async def _stop(self) -> float: ...
-
-    @abstractmethod
-    async def _replace_session(self) -> FreshSession: ...
+    def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
+        """Return what ``tools/list`` says of the tool that a binding of this operation calls; None where it says nothing."""
+        return self._player.listing(operation, tool)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from ..core.errors import NoBindingError
 from ..protocols.journal import JournalEntry, judged
 from ..protocols.registry import protocols
-from ..subject.addressing import addressed_by
-from ..subject.claims import Claims
 from .adapter_under_test import AdapterUnderTest
 from .proving import prove, why_reachable
 from .reply import Reply
@@ -19,35 +17,29 @@ from .reply import Reply
 __all__ = ["prove_session", "why_reachable_in_outage"]
 
 
+class _Device:
+    """The device of a session."""
+
+    def __init__(self, under_test: AdapterUnderTest) -> None:
+        self.url = under_test.endpoint.get("url", "")
+        self.poke = under_test.device.poke
+
+
 class _Session:
     """An adapter's session at its device, as :class:`~pytest_otmcp.trial.proving.Provable` wants it."""
 
     def __init__(self, under_test: AdapterUnderTest, since: int) -> None:
         self.protocol = under_test.adapter.protocol
+        self.subject = under_test.stated
+        self.device = _Device(under_test)
         self._under_test = under_test
-        self._claims = Claims.of_subject({self.protocol: under_test.adapter})
         self._since = since
 
-    @property
-    def device_url(self) -> str:
-        return self._under_test.endpoint.get("url", "")
-
-    @property
-    def addressed_by(self) -> Sequence[str]:
-        return addressed_by(self._under_test.adapter)
-
     def can_ask_first(self, operation: str, inputs: Mapping[str, object]) -> bool:
-        bound = self._under_test.is_bound(operation, inputs, first=True)
-        return bound and self._claims.has(f"{self.protocol}.{operation}")
-
-    def blocks(self, operation: str) -> bool:
-        return operation in self._under_test.adapter.blocking
+        return self._under_test.is_bound(operation, inputs, first=True) and self.subject.claims(operation)
 
     async def ask(self, operation: str, inputs: Mapping[str, Any]) -> Reply:
         return await self._under_test.call(operation, inputs)
-
-    async def poke(self, **params: object) -> None:
-        await self._under_test.device.poke(**params)
 
     async def journal(self) -> list[JournalEntry]:
         return judged((await self._under_test.device.journal(self._since)).entries)

@@ -153,7 +153,9 @@ class Trial:
             repetition = await self._repeat(rep)
             silent = silent + 1 if repetition.unanswered else 0
             if repetition.inapplicable is not None:
-                self._status, self._reason = "NOT_APPLICABLE", repetition.inapplicable
+                # What was found before stands.
+                if not self._failed:
+                    self._status, self._reason = "NOT_APPLICABLE", repetition.inapplicable
                 return
             if repetition.unanswered or repetition.ended_early:
                 self._take(await driver.end_sessions())

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import random
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 from ..core.errors import KitError
 from ..core.finding import Finding
 from ..protocols.journal import JournalEntry
 from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
-from .alteration import Alteration
-from .cursor import JournalCursor
+from .device_in_rig import DeviceInRig
 from .ledger import Ledger
+from .player import Player
 from .proving import prove, why_reachable
 from .reply import Reply
 
@@ -39,11 +39,16 @@ class WriteGate(ABC):
 
     Attributes:
         protocol: of the adapter, such as ``modbus``.
+        subject: what the subject states of the adapter.
+        device: at which the steps look, and which they change.
     """
 
-    def __init__(self, protocol: str, cursor: JournalCursor) -> None:
-        self.protocol = protocol
-        self._cursor = cursor
+    def __init__(self, player: Player) -> None:
+        self.protocol = player.protocol
+        self.subject = player.stated
+        self.device = DeviceInRig(player)
+        self._player = player
+        self._cursor = player.cursor
         self._ledger: Ledger
         self._proofs = 0
         self._claimed = 0
@@ -72,7 +77,7 @@ class WriteGate(ABC):
             item, problem = cursor.refused
             self._refuse(f"as {item}: {problem}", cause=item)
         self._proofs += 1
-        rng = random.Random(f"{self._ledger.origin}/proof/{self._proofs}/{self.device_url}")
+        rng = random.Random(f"{self._ledger.origin}/proof/{self._proofs}/{self.device.url}")
         operation, problem = await prove(self, rng, preferred=cursor.preferred, time_scale=self._ledger.time_scale)
         if operation is None:
             cursor.refused = (self._ledger.item, problem)
@@ -94,16 +99,16 @@ class WriteGate(ABC):
         known = protocols()[self.protocol].operations.get(operation)
         if known is None or not known.writes:
             return False
-        if self.running:
+        if self.device.running:
             await self.prove()
         elif self._cursor.proven is None:
             raise KitError(f"the steps write while {self.protocol} is stopped, and did not prove the session before")
         else:
-            await self._check_away()
+            await self._player.check_away()
             problem = await why_reachable(self, time_scale=self._ledger.time_scale)
             if problem is not None:
                 self._refuse(problem)
-            await self._check_away()
+            await self._player.check_away()
         return True
 
     def _after(self, reply: Reply) -> None:
@@ -123,70 +128,31 @@ class WriteGate(ABC):
 
     async def ask(self, operation: str, inputs: Mapping[str, object]) -> Reply:
         """Perform an operation of the proof; nothing is expected of its reply."""
-        reply = await self._perform(operation, inputs)
+        reply = await self._player.perform(operation, inputs)
         self._ledger.add_proof(reply, inputs)
         return reply
 
     def can_ask(self, operation: str, inputs: Mapping[str, object]) -> bool:
         """Tell whether the subject claims the operation and says how it is performed with these inputs."""
-        return self.claims(operation) and self._is_bound(operation, inputs)
+        return self.subject.claims(operation) and self._player.is_bound(operation, inputs)
 
     def can_ask_first(self, operation: str, inputs: Mapping[str, object]) -> bool:
         """Tell whether it is so without a handle that another operation yields."""
-        return self.claims(operation) and self._is_bound(operation, inputs, first=True)
+        return self.subject.claims(operation) and self._player.is_bound(operation, inputs, first=True)
 
     async def arrived(self) -> bool:
         """Tell whether the device has seen a client arrive since the session began."""
         await self._feed()
         return self._cursor.arrived
 
-    @property
-    @abstractmethod
-    def running(self) -> bool:
-        """The device runs."""
-
-    @property
-    @abstractmethod
-    def device_url(self) -> str:
-        """Where the mock device listens."""
-
-    @property
-    @abstractmethod
-    def addressed_by(self) -> Sequence[str]:
-        """Keys of the subject file that tell the adapter where its device is."""
-
-    @abstractmethod
-    def claims(self, facet: str) -> bool:
-        """Tell whether the subject claims this facet of its adapter."""
-
-    @abstractmethod
-    def blocks(self, operation: str) -> bool:
-        """Tell whether the operation is performed by a call that waits for the message that it returns."""
-
     @abstractmethod
     async def journal(self) -> list[JournalEntry]:
         """Return what reached the device, and what it answered, since this repetition began."""
 
     @abstractmethod
-    async def poke(self, **params: object) -> None:
-        """Set a value out of band."""
-
-    @abstractmethod
-    async def pause(self, seconds: float) -> None:
-        """Let time pass."""
-
-    @abstractmethod
-    def _is_bound(self, operation: str, inputs: Mapping[str, object], *, first: bool = False) -> bool: ...
-
-    @abstractmethod
-    async def _perform(
-        self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None
-    ) -> Reply: ...
-
-    @abstractmethod
-    async def _check_away(self) -> None:
-        """Make sure that nobody else listens where the stopped device was: the write would reach who does."""
-
-    @abstractmethod
     async def _feed(self) -> None:
         """Show the session's oracles the entries that they have not seen."""
+
+    async def pause(self, seconds: float) -> None:
+        """Let time pass."""
+        await self._player.pause(seconds)

@@ -170,7 +170,6 @@ MUTANTS = (
         items="S11",
         requirements="WR-010",
         recovers=True,
-        quick=True,
     ),
     Mutant(
         id="MU-29d",

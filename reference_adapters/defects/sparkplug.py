@@ -101,7 +101,6 @@ MUTANTS = (
         bend=sequence_per_device,
         items="Q4 S11",
         requirements="SPB-004",
-        quick=True,
     ),
     Mutant(
         id="MU-73",

@@ -56,12 +56,12 @@ _BY_PREFERENCE = sorted(MUTANTS.values(), key=lambda one: one.protocol in _FURTH
 
 
 def _first_of_their_kind() -> frozenset[str]:
-    """Return the ids of the first defects of each protocol in the benchmark, and of each defect of the catalogue and each row of the
-    requirement suite."""
+    """Return the ids of the first defects of each protocol in the benchmark, and of each row of the requirement suite and each
+    requirement that findings cite."""
     seen: set[object] = set()
     found = []
     for mutant in _BY_PREFERENCE:
-        kinds: set[object] = {(bool(mutant.areas), mutant.catalogue_id)}
+        kinds: set[object] = {*mutant.requirements.split()}
         kinds |= {name.partition(".")[0] for name in mutant.items.split()} if mutant.areas else {mutant.protocol}
         if not kinds <= seen:
             found.append(mutant.id)
@@ -70,7 +70,7 @@ def _first_of_their_kind() -> frozenset[str]:
 
 
 REPRESENTATIVE = _first_of_their_kind()
-"""Defects that are run with the long tests: for each row and each defect of the catalogue one at least."""
+"""Defects that are run with the long tests: for each row and each requirement one at least."""
 
 
 def _one_for_each_area() -> frozenset[str]:

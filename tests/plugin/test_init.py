@@ -217,6 +217,7 @@ server.run()
 """
 
 
+@pytest.mark.long
 def test_an_adapter_that_needs_a_new_session_after_an_outage_is_described_so(proposed: Proposed) -> None:
     told, adapter = proposed(ONCE, "modbus", "PLC")
     assert "recovery        new_session (after the device was away nothing else helped)" in told
@@ -299,7 +300,7 @@ def test_tools_of_another_vocabulary_are_proposed_with_the_effect_that_the_devic
     assert "publish" not in adapter.unclaimed
 
 
-QUICK = ("modbus", "mqtt", "opcua", "profibus")
+QUICK = ("modbus", "mqtt", "opcua")
 ENDPOINTS = {
     "mqtt": ["--env", "MQTT_URL={url}"],
     "opcua": ["--env", "OPCUA_URL={url}"],
@@ -364,6 +365,7 @@ def test_a_call_that_waits_is_proposed_as_one(otmcp: Otmcp, tmp_path: Path, warm
     assert collect.fill({"filter": "a/#", "seconds": 3}, {}) == {"topic": "a/#", "timeout": 3}
 
 
+@pytest.mark.long
 def test_a_sparkplug_host_is_noticed_and_its_commands_are_proven(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
 ) -> None:
@@ -379,6 +381,7 @@ def test_a_sparkplug_host_is_noticed_and_its_commands_are_proven(
     assert {name: rule.path for name, rule in metrics.outputs.items()} == {"metrics": "metrics", "online": "online"}
 
 
+@pytest.mark.long
 def test_a_host_without_a_status_has_its_metrics_found_in_a_list(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
 ) -> None:
@@ -565,6 +568,7 @@ result.values = "data.values"
 SHELL = f'test -z "$TELLS" || echo "token is $PLC_TOKEN" >&2; exec {sys.executable} -m pytest_otmcp.reference_adapters modbus'
 
 
+@pytest.mark.long
 def test_the_doctor_looks_at_every_launch_and_says_which_secret_it_tells(otmcp: Otmcp, tmp_path: Path) -> None:
     shell = ", ".join(map(json.dumps, ("sh", "-c", SHELL)))
     (tmp_path / "otmcp.toml").write_text(TELLING.format(shell=shell), encoding="utf-8")
@@ -576,6 +580,7 @@ def test_the_doctor_looks_at_every_launch_and_says_which_secret_it_tells(otmcp: 
     assert "all is well" not in done.stdout
 
 
+@pytest.mark.long
 def test_a_call_can_be_made_with_every_launch_of_the_file(otmcp: Otmcp, tmp_path: Path) -> None:
     shell = ", ".join(map(json.dumps, ("sh", "-c", SHELL)))
     (tmp_path / "otmcp.toml").write_text(TELLING.format(shell=shell), encoding="utf-8")
@@ -586,6 +591,7 @@ def test_a_call_can_be_made_with_every_launch_of_the_file(otmcp: Otmcp, tmp_path
     assert "[adapter.modbus] has no such launch, it has rw ro bounded" in done.stderr
 
 
+@pytest.mark.long
 def test_a_variable_that_takes_a_secret_is_proposed_and_has_a_random_value(otmcp: Otmcp, tmp_path: Path) -> None:
     needs = f"test ${{#PLC_TOKEN}} = 32 && exec {sys.executable} -m pytest_otmcp.reference_adapters modbus"
     launch = ("--env", "MODBUS_HOST={host}", "--env", "MODBUS_PORT={port}", "--secret-env", "PLC_TOKEN")

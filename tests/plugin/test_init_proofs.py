@@ -370,6 +370,7 @@ def test_a_pattern_that_reads_some_types_only_is_no_binding(read_of: Callable[[s
     assert "read" not in adapter.operations
 
 
+@pytest.mark.long
 def test_a_place_that_takes_everything_is_right_where_the_adapter_is_wrong(
     read_of: Callable[[str], tuple[str, Adapter]], tmp_path: Path
 ) -> None:
@@ -385,6 +386,7 @@ def test_a_place_that_takes_everything_is_right_where_the_adapter_is_wrong(
     )
 
 
+@pytest.mark.long
 def test_a_type_that_a_tool_refuses_says_nothing_about_the_others(
     read_of: Callable[[str], tuple[str, Adapter]], tmp_path: Path
 ) -> None:
@@ -409,6 +411,7 @@ def test_a_tool_that_answers_for_one_node_alone_is_no_binding(read_of: Callable[
     assert "read" not in adapter.operations
 
 
+@pytest.mark.long
 def test_values_that_are_wrong_are_the_adapters_where_their_place_is_right(init: Init, tmp_path: Path) -> None:
     told, adapter = init("modbus", SETPOINT, PLC_HOST="{host}", PLC_PORT="{port}", SIGNED="1")
     assert "quantity 3; not everything, see the file)" in told
@@ -419,6 +422,7 @@ def test_values_that_are_wrong_are_the_adapters_where_their_place_is_right(init:
     )
 
 
+@pytest.mark.long
 def test_a_device_that_a_tool_registers_is_read_by_its_name(init: Init) -> None:
     told, adapter = init("modbus", STEPS, STEP="register")
     assert adapter.connect is not None
@@ -429,6 +433,7 @@ def test_a_device_that_a_tool_registers_is_read_by_its_name(init: Init) -> None:
     assert binding.arguments == {"device": "otmcp", "address": "$address", "count": "$count"}
 
 
+@pytest.mark.long
 def test_a_step_whose_argument_may_mean_several_things_is_tried_until_the_device_is_reached(init: Init) -> None:
     told, adapter = init("modbus", STEPS, STEP="connect")
     assert "connect         connect_plc (the device was reached)" in told
@@ -437,6 +442,7 @@ def test_a_step_whose_argument_may_mean_several_things_is_tried_until_the_device
     assert "read_holding    read_holding_registers (proven" in told
 
 
+@pytest.mark.long
 def test_a_step_that_fails_is_the_reason_why_there_is_no_proposal(tmp_path: Path, warm_start: WarmStart) -> None:
     done = started(tmp_path, warm_start, "modbus", STEPS, STEP="refused")
     assert done.returncode == 1
@@ -460,6 +466,7 @@ def test_a_write_is_proven_at_several_addresses(init: Init) -> None:
     assert "write_holding" not in adapter.operations
 
 
+@pytest.mark.long
 def test_a_write_that_is_refused_elsewhere_is_proven_where_it_is_not(init: Init, tmp_path: Path) -> None:
     told, adapter = init("modbus", SETPOINT, PLC_HOST="{host}", PLC_PORT="{port}", REFUSES="1")
     assert "write_holding   set_register (proven: the device saw function 6 for address 12" in told

@@ -165,6 +165,7 @@ def test_items_that_a_plugin_says_were_run_did_not_run(repository: Repository) -
     assert not (outcome.report / "run.json").exists()
 
 
+@pytest.mark.long
 def test_a_task_that_is_not_as_its_module_declares_it_is_on_record(repository: Repository) -> None:
     repository.write(conftest_py=ALTERING)
     outcome = repository.pytest("--otmcp-reps=1", "-k", "M2 or S7")
@@ -174,6 +175,7 @@ def test_a_task_that_is_not_as_its_module_declares_it_is_on_record(repository: R
     assert outcome.code == 1
 
 
+@pytest.mark.long
 def test_whoever_has_the_last_word_on_the_items_is_noticed(repository: Repository) -> None:
     repository.write(conftest_py=LAST_WORD)
     outcome = repository.pytest("--otmcp-reps=1")
@@ -181,6 +183,7 @@ def test_whoever_has_the_last_word_on_the_items_is_noticed(repository: Repositor
     assert outcome.verdict == "INCOMPLETE"
 
 
+@pytest.mark.long
 def test_of_several_attempts_the_first_counts(repository: Repository) -> None:
     repository.write(again_py=AGAIN)
     outcome = repository.pytest("--otmcp-reps=1", "-k", "[M1] or [M2]", "-p", "again", path=(repository.root,))
@@ -191,7 +194,7 @@ def test_of_several_attempts_the_first_counts(repository: Repository) -> None:
 @pytest.mark.parametrize(
     ("conftest", "replaced"),
     [
-        (FORGING, "trial.expectations.succeeded"),
+        pytest.param(FORGING, "trial.expectations.succeeded", marks=pytest.mark.long),
         pytest.param(BRIBING, "plant.mock_device.MockDevice.image", marks=pytest.mark.long),
     ],
 )
@@ -212,7 +215,11 @@ def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository, con
             ("-k", "[M1] or [Q1]"),
             "36 of 38 items were taken out by -k [M1] or [Q1]: M2, M3, M4, Q2, Q3, Q4 and 30 more",
         ),
-        (("-m", "otmcp_stress and not otmcp_modbus"), "by -m otmcp_stress and not otmcp_modbus: "),
+        pytest.param(
+            ("-m", "otmcp_stress and not otmcp_modbus"),
+            "by -m otmcp_stress and not otmcp_modbus: ",
+            marks=pytest.mark.long,
+        ),
         pytest.param(
             ("--otmcp-suite=normal", "-k", "[M1]"),
             "only the suite normal was asked for (--otmcp-suite)",
@@ -221,9 +228,10 @@ def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository, con
         pytest.param(
             ("--otmcp-time-scale=2", "-k", "[M1]"), "multiplied by 2 (--otmcp-time-scale)", marks=pytest.mark.long
         ),
-        (
+        pytest.param(
             ("--pyargs", "pytest_otmcp.conformance.test_normal", "-k", "[M1]"),
             "22 of 38 items were not collected: pytest was asked for",
+            marks=pytest.mark.long,
         ),
         pytest.param(
             ("-x", "--otmcp-suite=normal"),
@@ -242,6 +250,7 @@ def test_what_was_asked_for_is_on_record_as_well(
     assert outcome.code == 1
 
 
+@pytest.mark.long
 def test_a_filter_in_the_ini_is_told_from_one_on_the_command_line(repository: Repository) -> None:
     repository.write(pytest_ini="[pytest]\naddopts = -k [M1]\n")
     outcome = repository.pytest("--otmcp-reps=1")
@@ -250,6 +259,7 @@ def test_a_filter_in_the_ini_is_told_from_one_on_the_command_line(repository: Re
     assert outcome.code == 1
 
 
+@pytest.mark.long
 def test_a_copy_of_the_suite_is_not_the_suite(repository: Repository) -> None:
     copy = "from pytest_otmcp.conformance.test_normal import *  # with whatever changes\n"
     repository.write(tests__test_copy_py=copy)

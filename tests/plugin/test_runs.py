@@ -80,6 +80,7 @@ def test_the_record_is_plain_json(wrong_value: Outcome) -> None:
     assert json.loads((wrong_value.report / "run.json").read_bytes()) == wrong_value.record
 
 
+@pytest.mark.long
 def test_a_warning_fails_nothing_and_stands_beside_the_verdict(repository: Repository) -> None:
     repository.subject("mcp/no-text-block", program=HONEST)
     outcome = repository.pytest(*SUITE, "-k", "normal and M1", "--otmcp-reps=2", "--junit-xml=junit.xml")
@@ -353,6 +354,7 @@ def test_a_run_ends_with_its_verdict_at_whatever_moment_it_is_ended(
     assert "INTERNALERROR" not in outcome.output
 
 
+@pytest.mark.long
 def test_a_mock_that_dies_is_the_kits_fault(repository: Repository, waiting: socket.socket) -> None:
     repository.subject("read_input_registers", "2", port_of(waiting), program=WAITING)
     with started(repository, "--otmcp-reps=3", "-k", "normal and (M1 or M2)") as process:

@@ -14,6 +14,7 @@ from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.soundness.judging import measured
+from pytest_otmcp.subject import Adapter
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
@@ -22,7 +23,7 @@ from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 from tests.trials import as_read, recorded
 
-from .conftest import Results, foreign_subject, lying
+from .conftest import DEFECT, Judge, Results, failing, foreign_subject, lying, requirements, words
 
 
 @pytest.mark.parametrize("following", ["M2", "M4"])
@@ -88,3 +89,15 @@ def test_an_item_that_cannot_be_finished_leaves_its_device_running(loop: LoopThr
             await bench.close()
 
     assert loop.run(both()) == ("NOT_TESTABLE", "PASS")
+
+
+def test_a_finding_of_an_item_that_turns_out_not_to_apply_stands(judge: Judge) -> None:
+    """The adapter's session begins, with a finding, before the item sees that it has nothing to ask."""
+
+    def tells_its_state(adapter: Adapter) -> Adapter:
+        return replace(adapter, unclaimed=dict.fromkeys(adapter.operations.keys() - {"info"}, "has no such tool"))
+
+    items = "INJ-001.mqtt INJ-002.mqtt"
+    results = judge("mqtt", *DEFECT, "MU-130t", tasks=items, described=tells_its_state)
+    assert failing(results) == set(items.split()), words(results)
+    assert requirements(results) == {"SPB-013"}, words(results)

@@ -32,8 +32,7 @@ CLOSEST = """
     mqtt/retained-online mqtt/status-from-a-declared-cache
     mqtt/always-qos-1 mqtt/delivers-again-with-dup
     opcua/reads-by-monitored-items opcua/browses-before-reading
-    s7/few-types s7/shortest-digits s7/short-texts s7/control-tools-hidden
-    dnp3/events-beside-a-read dnp3/no-pulses dnp3/integrity-polls
+    s7/few-types s7/short-texts dnp3/events-beside-a-read dnp3/no-pulses
     bacnet/reads-all-properties ethernetip/symbol-instances profibus/inputs-by-data-exchange
 """.split()
 """Some of those that are closest to what the suite forbids; earlier suites accused each of them."""
@@ -104,7 +103,13 @@ def test_an_honest_adapter_that_keeps_bounds_in_its_own_way_is_accused_of_nothin
     accused_of_nothing(judge, name, f"WR-006.{protocol} WR-007.{protocol}")
 
 
-@pytest.mark.parametrize("name", [name for name in ZOO if name.startswith("commands/")])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.long if number % 3 else ())
+        for number, name in enumerate(name for name in ZOO if name.startswith("commands/"))
+    ],
+)
 def test_an_honest_adapter_with_commands_of_another_form_is_accused_of_nothing(judge: Judge, name: str) -> None:
     protocol = ZOO[name].protocol
     accused_of_nothing(judge, name, f"WR-003.{protocol} WR-004.{protocol} WR-010.{protocol} WR-014.{protocol}")

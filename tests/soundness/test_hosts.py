@@ -76,3 +76,9 @@ def test_a_lie_of_a_host_is_found(judge_foreign: Judge, name: str, lie: str) -> 
 def test_an_outage_shows_what_became_of_a_command(judge_foreign: Judge, lie: str) -> None:
     results = judge_foreign("mqtt-host", lie=lie, tasks="S11 R-mqtt WR-010.mqtt")
     assert failing(results) == set(OUTAGES[lie].split()), words(results)
+
+
+def test_a_command_that_is_sent_after_its_answer_is_not_taken_for_that_of_the_next_call(judge_foreign: Judge) -> None:
+    results = judge_foreign("mqtt-host", lie="answers-first", tasks="INJ-003.mqtt")
+    assert requirements(results) == set(), words(results)
+    assert passing(results) == {"INJ-003.mqtt"}

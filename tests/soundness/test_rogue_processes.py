@@ -34,7 +34,11 @@ def nothing_is_left_behind() -> Any:
     [
         ("dead", r"exited with code 1.*spindle\.conf: no such file"),
         ("dies-in-initialize", r"exited with code 3 during its handshake.*no module named 'spindle'"),
-        ("stdout-flood", r"floods stdout with lines that are no MCP messages.*I am the spindle"),
+        pytest.param(
+            "stdout-flood",
+            r"floods stdout with lines that are no MCP messages.*I am the spindle",
+            marks=pytest.mark.long,
+        ),
         ("wrong-id", r"a response carries the id \d{4}, which no request had"),
         ("huge-reply", r"a message of more than 4 MiB"),
         ("dies-in-call", r"exited with code 7.*out of spindle oil"),

@@ -20,9 +20,9 @@ from pytest_otmcp.protocols.modbus.proof import PROOF
 from pytest_otmcp.record.images import Images, keep_image, restore_image
 from pytest_otmcp.record.reader import StoredRun
 from pytest_otmcp.record.schema import Call, Run, check
+from pytest_otmcp.replay.player import Clock, RecordedRepetition, ReplayItemState
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.replay.reply import recorded_reply, restored_bindings
-from pytest_otmcp.replay.rig import Clock, RecordedRepetition, ReplayItemState
 from pytest_otmcp.subject import reference_subject
 from pytest_otmcp.subject.model import Answering, Binding, OutputRule
 from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id

@@ -8,25 +8,32 @@ from collections.abc import Iterator
 from typing import Any
 
 from pytest_otmcp.session.exchange import Exchange
+from pytest_otmcp.subject import reference_subject
+from pytest_otmcp.subject.claims import Claims
 from pytest_otmcp.subject.model import Answering
 from pytest_otmcp.trial.cursor import JournalCursor
+from pytest_otmcp.trial.player import Player
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Expectation, Reply, observe
 from pytest_otmcp.trial.rig import Rig
+from pytest_otmcp.trial.stated import Stated
 
 S = 1_000_000_000
 
 
-class Scripted(Rig):
-    """A rig with given answers: success, and when the call was sent and answered, in seconds."""
+class Scripted(Player):
+    """Plays given answers: success, and when the call was sent and answered, in seconds."""
 
     accepting_ns = 0
+    running = True
 
     def __init__(self, *answers: tuple[bool, float, float]) -> None:
-        super().__init__("modbus", "rw", JournalCursor("modbus"))
+        adapters = reference_subject().adapters
+        stated = Stated("modbus", adapters["modbus"].facts(), Claims.of_subject(adapters))
+        super().__init__("modbus", "rw", stated, JournalCursor("modbus"))
         self._answers: Iterator[tuple[bool, float, float]] = iter(answers)
 
-    async def _perform(self, operation: str, inputs: Any, altered: Any = None) -> Reply:
+    async def perform(self, operation: str, inputs: Any, altered: Any = None) -> Reply:
         success, sent, received = next(self._answers)
         exchange = Exchange(
             tool=operation,
@@ -46,21 +53,24 @@ class Scripted(Rig):
         )
         return observe(exchange, expected)
 
-    async def _reconnecting(self) -> None:
+    async def reconnecting(self) -> None:
         pass
 
-    async def _watch(self, seconds: float) -> None:
+    async def pause(self, seconds: float) -> None:
         pass
+
+    def bindings(self, operation: str) -> tuple[()]:
+        return ()
 
 
 # The windows never use the abstract methods that are left.
 Scripted.__abstractmethods__ = frozenset()
 
 
-def at(*answers: tuple[bool, float, float]) -> Scripted:
-    scripted = Scripted(*answers)
-    Repetition("S10", 0, "task", seed=0, time_scale=1.0, rigs=[scripted])
-    return scripted
+def at(*answers: tuple[bool, float, float]) -> Rig:
+    rig = Rig(Scripted(*answers))
+    Repetition("S10", 0, "task", seed=0, time_scale=1.0, rigs=[rig])
+    return rig
 
 
 def successes(*answers: tuple[bool, float, float]) -> list[bool | None]:

@@ -91,6 +91,28 @@ def over_a_stream(name: str, function: int, **options: Any) -> Bend:
     return bend
 
 
+def late_answers(server: AdapterServer) -> None:
+    """A read that has run out of time is still under way, and the next read is given its answer."""
+    link = server._tools["read_opcua_node"].handler.__self__._link
+    patience_s = link._timeout_s
+    link._timeout_s = 3 * patience_s
+    late: list[asyncio.Future[Data]] = []
+
+    def handed_on(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            answer = late.pop() if late else asyncio.ensure_future(genuine(call, arguments))
+            try:
+                data = await asyncio.wait_for(asyncio.shield(answer), patience_s)
+            except TimeoutError:
+                late.append(answer)
+                raise AdapterError("timeout", "the server did not answer in time") from None
+            return {**data, "node_id": arguments.node_id}
+
+        return handler
+
+    each("read_opcua_node", change=handed_on)(server)
+
+
 def torn_numbers(server: AdapterServer) -> None:
     tools = server._tools[_READ_INPUT].handler.__self__
 
@@ -279,6 +301,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "A late answer is given to the next call.",
         over_a_stream(_READ_HOLDING, 3),
         "CON-002.modbus",
+        "CON-002",
+    ),
+    _mutant(
+        "MU-38o",
+        "opcua",
+        "A late answer is given to the next call.",
+        late_answers,
+        "CON-002.opcua",
         "CON-002",
     ),
     _mutant(

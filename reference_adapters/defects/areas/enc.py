@@ -172,7 +172,6 @@ MUTANTS: tuple[Mutant, ...] = (
         items="ENC-004.modbus",
         requirements="ENC-004",
         areas="enc",
-        quick=True,
     ),
     Mutant(
         id="MU-56o",

@@ -241,7 +241,6 @@ MUTANTS: tuple[Mutant, ...] = (
         items="ERR-008.opcua",
         requirements="ERR-008",
         areas="err",
-        quick=True,
     ),
     Mutant(
         id="MU-61w",

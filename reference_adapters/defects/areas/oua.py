@@ -321,7 +321,6 @@ MUTANTS: tuple[Mutant, ...] = (
         items="OUA-002.opcua",
         requirements="OUA-002",
         areas="oua",
-        quick=True,
     ),
     Mutant(
         id="MU-82",
@@ -439,7 +438,6 @@ MUTANTS: tuple[Mutant, ...] = (
         items="OUA-007.opcua",
         requirements="OUA-007",
         areas="oua",
-        quick=True,
     ),
     Mutant(
         id="MU-87b",

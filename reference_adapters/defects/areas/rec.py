@@ -8,6 +8,7 @@ from typing import Any
 from ...core import AdapterServer
 from ...modbus import link as modbus_link
 from ...mqtt import link as mqtt_link
+from ...opcua import link as opcua_link
 from ...opcua.link import Link, Session
 from ..any_protocol import answers_from_memory_when_gone, never_reconnects
 from ..mqtt import forgets_subscriptions
@@ -27,6 +28,11 @@ def sessions_left_behind(server: AdapterServer) -> None:
             left.append(session)
 
     link._drop = forget
+
+
+def stays_in_a_closed_session(server: AdapterServer) -> None:
+    """A session that the server has closed is taken for a good one until its connection ends."""
+    opcua_link._GONE -= {"BadSessionIdInvalid", "BadSessionClosed", "BadSessionNotActivated"}
 
 
 def stays_on_a_dead_connection(server: AdapterServer) -> None:
@@ -73,6 +79,15 @@ MUTANTS: tuple[Mutant, ...] = (
         bend=sessions_left_behind,
         items="REC-006.opcua",
         requirements="CON-006 REC-006",
+        areas="rec",
+    ),
+    Mutant(
+        id="MU-88c",
+        protocol="opcua",
+        sentence="A session that the server has closed goes on being used.",
+        bend=stays_in_a_closed_session,
+        items="REC-006.opcua",
+        requirements="REC-006",
         areas="rec",
     ),
     Mutant(

@@ -1,4 +1,4 @@
-"""The rig of a stored repetition: it returns what the history has, and objects where the history cannot be true.
+"""Plays the steps of a stored repetition: it returns what the history has, and objects where the history cannot be true.
 
 Each call or observation that the steps ask for must be the next one in the history, and in the order of time.
 """
@@ -6,34 +6,30 @@ Each call or observation that the steps ask for must be the next one in the hist
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from itertools import takewhile
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from ..core.strict_json import same_json
-from ..protocols.bounds import Bounds, Times
-from ..protocols.protocol import Declared
 from ..record.images import Images, restore_image
-from ..record.schema import (
-    AdapterFacts,
-    Call,
-    DeviceEntry,
-    Footprint,
-    HandshakeEra,
-    ItemDevice,
-    Observation,
-    ToolListing,
-)
+from ..record.schema import AdapterFacts, Call, DeviceEntry, HandshakeEra, ItemDevice, Observation
 from ..subject.claims import Claims
 from ..subject.model import READ_WRITE, Binding
 from ..trial.alteration import Alteration
 from ..trial.ledger import Ledger
+from ..trial.player import OBSERVING, FreshSession, Player
 from ..trial.reply import Reply
-from ..trial.rig import EndedError, Entry, FreshSession, Rig, adapter_name
+from ..trial.rig import EndedError, Entry, adapter_name
+from ..trial.stated import Stated
 from .device import DeviceHistory
 from .reply import HistoryError, recorded_reply
 
-__all__ = ["Clock", "RecordedAdapter", "RecordedRepetition", "ReplayItemState", "ReplayRig"]
+if TYPE_CHECKING:
+    from ..trial.adapter_under_test import AdapterUnderTest
+
+__all__ = ["Clock", "RecordedAdapter", "RecordedRepetition", "ReplayItemState", "StoredPlayer"]
+
+T = TypeVar("T")
 
 
 class RecordedAdapter:
@@ -57,7 +53,7 @@ class RecordedAdapter:
     ) -> None:
         self.protocol = protocol
         self.facts = facts
-        self.claims = claims
+        self.stated = Stated(protocol, facts, claims)
         self.bindings = bindings
         self.deadline_s = facts["deadline_s"] * time_scale
 
@@ -185,11 +181,12 @@ def _listed(inputs: Mapping[str, object]) -> str:
     return ", ".join(f"{name}={value!r}" for name, value in inputs.items())
 
 
-class ReplayRig(Rig):
-    """An adapter at its device in one stored repetition. Nothing is done, and nothing is waited for."""
+class StoredPlayer(Player):
+    """Hands out what the history of one repetition has. Nothing is done, and nothing is waited for."""
 
     def __init__(self, state: ReplayItemState, past: RecordedRepetition, device: Iterable[DeviceEntry]) -> None:
-        super().__init__(state.protocol, state.variant, state.history.cursor)
+        super().__init__(state.protocol, state.variant, state.adapter.stated, state.history.cursor)
+        self.name = state.name
         self._state = state
         self._past = past
         self._unread = [
@@ -203,86 +200,6 @@ class ReplayRig(Rig):
         if self._past.next_is(self.name, "session"):
             seen = self._seen("session")
             self._state.history.has_session(seen["session"], seen["seen_ns"])
-
-    def claims(self, facet: str) -> bool:
-        return self._state.adapter.claims.has(f"{self.protocol}.{facet}")
-
-    def blocks(self, operation: str) -> bool:
-        return operation in self._state.adapter.facts["blocking"]
-
-    def max_age_s(self, operation: str) -> float | None:
-        return self._state.adapter.facts["cached"].get(operation)
-
-    @property
-    def native(self) -> bool:
-        return self._state.adapter.facts["envelope"] == "native"
-
-    @property
-    def recovery_s(self) -> float:
-        return self._state.adapter.facts["recovery_s"]
-
-    @property
-    def declared(self) -> Declared:
-        return self._state.adapter.facts["lists"]
-
-    @property
-    def bounds(self) -> Bounds:
-        told = self._state.adapter.facts.get("bounds")
-        return Bounds() if told is None else Bounds.of_record(told)
-
-    @property
-    def times(self) -> Times | None:
-        told = self._state.adapter.facts.get("times")
-        return None if told is None else Times.of_record(told)
-
-    def probe(self, name: str) -> Any:
-        return self._state.adapter.facts["probes"][name]
-
-    @property
-    def reconnects(self) -> bool:
-        facts = self._state.adapter.facts
-        return facts["recovery"] != "connect_step" and "opened_by" not in facts
-
-    @property
-    def lacks(self) -> Collection[str]:
-        return self._state.adapter.facts["lacks"]
-
-    def judges(self, output: str) -> bool:
-        return output not in self._state.adapter.facts["unjudged"]
-
-    @property
-    def addresses(self) -> list[tuple[str, int]]:
-        endpoints = self._state.history.facts["endpoints"]
-        return [(endpoint["host"], endpoint["port"]) for endpoint in endpoints if endpoint["port"]]
-
-    def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
-        adapter = self._state.adapter
-        return None if adapter.bindings.get(operation) is None else adapter.facts["listing"].get(tool)
-
-    @property
-    def _placeholders(self) -> Mapping[str, str]:
-        return self._state.history.facts["placeholders"]
-
-    @property
-    def device_url(self) -> str:
-        return self._state.history.facts["placeholders"].get("url", "")
-
-    @property
-    def addressed_by(self) -> Sequence[str]:
-        return self._state.adapter.facts.get("addressed_by", [])
-
-    def _is_bound(self, operation: str, inputs: Mapping[str, object], *, first: bool = False) -> bool:
-        # An operation that was never used has no bindings in the record: then it was no way to prove anything.
-        cases = self._state.adapter.bindings.get(operation, [])
-        return cases is None or any(case.fits(inputs) and not (first and case.follows) for case in cases)
-
-    @property
-    def running(self) -> bool:
-        return self._state.running
-
-    @property
-    def accepting_ns(self) -> int:
-        return self._state.history.accepting_ns
 
     def finish(self) -> None:
         """Check, at the end of the steps, that the history of this repetition is used up.
@@ -301,7 +218,7 @@ class ReplayRig(Rig):
 
     def leave(self) -> None:
         """Bring the state to the begin of the next repetition, also when this one could not be played back to its end."""
-        cursor = self._cursor
+        cursor = self.cursor
         for seen in self._past.observations:
             if seen["at"] == self.name:
                 if "start" in seen:
@@ -317,19 +234,68 @@ class ReplayRig(Rig):
                     cursor.next = cursor.fed = seen["end"]
         self._state.running = True
 
-    def _open_session(self, seq: int, seen: Observation) -> None:
-        self._state.history.open_session(seq, seen["seen_ns"])
+    # -- looks --------------------------------------------------------------------------------------------
 
     def _seen(self, what: str, *others: str) -> Observation:
-        return self._past.observation(self.name, what, *others, together=self._ledger.together)
+        seen = self._past.observation(self.name, what, *others, together=self._ledger.together)
+        self.took_s = (seen["seen_ns"] - seen["asked_ns"]) / 1e9
+        return seen
+
+    async def ask(
+        self, kind: str, question: Callable[[AdapterUnderTest], Awaitable[T]], *, spent: str = OBSERVING
+    ) -> T:
+        return cast(T, self._seen(kind)[kind])  # type: ignore[literal-required]
+
+    async def act(self, deed: Callable[[AdapterUnderTest], Awaitable[None]]) -> None:
+        pass
+
+    async def pause(self, seconds: float) -> None:
+        pass
+
+    async def image(self) -> dict[str, object]:
+        seen = self._seen("image", "changes")
+        return restore_image(self._state.images, self.name, cast(Mapping[str, Any], seen))
+
+    async def entries(self, kind: str, since: int) -> tuple[list[Entry], int]:
+        seen = self._seen(kind)
+        end = seen[kind]  # type: ignore[literal-required]
+        if kind == "session_journal":
+            begin, end = end
+            if begin != since:
+                raise HistoryError(f"the session at {self.name} began at entry {since}, not at {begin}")
+        return [entry for entry in self._until(end, seen["seen_ns"]) if entry["seq"] >= since], end
 
     def _until(self, end: int, seen_ns: int) -> list[Entry]:
         """Return the slice of this repetition up to the entry before ``end``."""
-        entries = self._unread[: max(0, end - self._cursor.next)]
+        entries = self._unread[: max(0, end - self.cursor.next)]
         self._state.history.looked(entries, end, seen_ns)
         return entries
 
-    async def _perform(self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None) -> Reply:
+    async def take_slice(self) -> list[Entry]:
+        seen = self._seen("end")
+        end = seen["end"]
+        entries = self._until(end, seen["seen_ns"])
+        self._unread = self._unread[len(entries) :]
+        self._state.history.take(entries, end, seen["asked_ns"])
+        return entries
+
+    async def wait(self, match: Mapping[str, object], *, timeout_s: float, count: int) -> list[Entry]:
+        seen = self._seen("wait")
+        found = [
+            entry
+            for entry in self._unread
+            if all(name in entry and dict(entry)[name] == value for name, value in match.items())
+            and entry["t_ns"] <= seen["seen_ns"]
+        ]
+        if len(found) < seen["wait"]:
+            raise HistoryError(
+                f"{seen['wait']} entries with {_listed(match)} were seen at {self.name}, there are {len(found)}"
+            )
+        return found[: seen["wait"]]
+
+    # -- calls --------------------------------------------------------------------------------------------
+
+    async def perform(self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None) -> Reply:
         try:
             call = self._past.call(self._state, operation, inputs, together=self._ledger.together)
         except HistoryError:
@@ -350,7 +316,7 @@ class ReplayRig(Rig):
             deadline_s=self._state.adapter.deadline_s,
         )
 
-    async def _perform_and_cancel(
+    async def perform_and_cancel(
         self,
         operation: str,
         inputs: Mapping[str, object],
@@ -358,95 +324,73 @@ class ReplayRig(Rig):
         timeout_s: float,
         meanwhile: Callable[[], Awaitable[object]] | None,
     ) -> Reply:
-        reply = await self._perform(operation, inputs)
+        reply = await self.perform(operation, inputs)
         if meanwhile is not None:
             await meanwhile()
         return reply
 
+    async def reconnecting(self) -> None:
+        pass
+
     def bindings(self, operation: str) -> Sequence[Binding] | None:
         return self._state.adapter.bindings.get(operation, [])
 
-    async def footprint(self) -> Footprint:
-        return self._seen("process")["process"]
+    def is_bound(self, operation: str, inputs: Mapping[str, object], *, first: bool = False) -> bool:
+        # An operation that was never used has no bindings in the record: then it was no way to prove anything.
+        cases = self._state.adapter.bindings.get(operation, [])
+        return cases is None or any(case.fits(inputs) and not (first and case.follows) for case in cases)
 
-    async def tool_list(self) -> Mapping[str, ToolListing]:
-        return self._seen("listed")["listed"]
+    def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
+        adapter = self._state.adapter
+        return None if adapter.bindings.get(operation) is None else adapter.facts["listing"].get(tool)
 
-    async def listed_tools(self) -> str:
-        return self._seen("tools")["tools"]
+    # -- the device ---------------------------------------------------------------------------------------
 
-    async def listing_took_s(self) -> float:
-        seen = self._seen("tools")
-        return (seen["seen_ns"] - seen["asked_ns"]) / 1e9
+    @property
+    def addresses(self) -> list[tuple[str, int]]:
+        endpoints = self._state.history.facts["endpoints"]
+        return [(endpoint["host"], endpoint["port"]) for endpoint in endpoints if endpoint["port"]]
 
-    async def send_line(self, line: str) -> bool:
-        return self._seen("line_sent")["line_sent"]
+    @property
+    def placeholders(self) -> Mapping[str, str]:
+        return self._state.history.facts["placeholders"]
 
-    async def refuses(self, tool: str) -> bool | None:
-        return self._seen("refuses")["refuses"]
+    @property
+    def running(self) -> bool:
+        return self._state.running
 
-    async def made_file(self, name: str) -> bool:
-        return self._seen("made_file")["made_file"]
+    @property
+    def accepting_ns(self) -> int:
+        return self._state.history.accepting_ns
 
-    async def stderr(self) -> list[str]:
-        return self._seen("stderr")["stderr"]
-
-    async def _journal(self) -> list[Entry]:
-        seen = self._seen("journal")
-        return self._until(seen["journal"], seen["seen_ns"])
-
-    async def _wait(self, match: Mapping[str, object], *, timeout_s: float, count: int) -> list[Entry]:
-        seen = self._seen("wait")
-        found = [
-            entry
-            for entry in self._unread
-            if all(name in entry and dict(entry)[name] == value for name, value in match.items())
-            and entry["t_ns"] <= seen["seen_ns"]
-        ]
-        if len(found) < seen["wait"]:
-            raise HistoryError(
-                f"{seen['wait']} entries with {_listed(match)} were seen at {self.name}, there are {len(found)}"
-            )
-        return found[: seen["wait"]]
-
-    async def _session_journal(self) -> list[Entry]:
-        seen = self._seen("session_journal")
-        begin, end = seen["session_journal"]
-        if begin != self._cursor.began:
-            raise HistoryError(f"the session at {self.name} began at entry {self._cursor.began}, not at {begin}")
-        return [entry for entry in self._until(end, seen["seen_ns"]) if entry["seq"] >= begin]
-
-    async def _check_away(self) -> None:
+    async def check_away(self) -> None:
         """It was so, or the item ended there."""
 
-    async def _feed(self) -> None:
-        seen = self._seen("followed")
-        end = seen["followed"]
-        self._cursor.feed(self._until(end, seen["seen_ns"]), end)
+    async def stop(self) -> float:
+        self._state.running = False
+        seen = self._seen("stop")
+        _check_within(seen, f"the stop of {self.name}", ms=seen["stop"])
+        return seen["stop"]
 
-    async def image(self) -> dict[str, object]:
-        seen = self._seen("image", "changes")
-        return restore_image(self._state.images, self.name, cast(Mapping[str, Any], seen))
+    async def start(self) -> float:
+        seen = self._seen("start")
+        started = seen["start"]
+        _check_within(seen, f"the start of {self.name}", ms=started["ms"], moment_ns=started["accepting_ns"])
+        self._state.running, self._state.history.accepting_ns = True, started["accepting_ns"]
+        self._state.history.restart()
+        return started["ms"]
 
-    async def poke(self, **params: object) -> None:
-        pass
+    # -- the session --------------------------------------------------------------------------------------
 
-    async def fault(self, *rules: Mapping[str, object]) -> None:
-        pass
+    async def replace_session(self) -> FreshSession:
+        seen = self._seen("fresh_session")
+        fresh = seen["fresh_session"]
+        ended_ms = fresh["seconds"] * 1000
+        _check_within(seen, f"the new session of {self.name}", ms=ended_ms, moment_ns=fresh["spawned_ns"])
+        self._open_session(fresh["opened"], seen)
+        return FreshSession(**fresh)
 
-    async def delay(self, seconds: float) -> None:
-        pass
-
-    async def tick(self, steps: int) -> None:
-        pass
-
-    async def pause(self, seconds: float) -> None:
-        pass
-
-    async def _reconnecting(self) -> None:
-        pass
-
-    async def garble_switch(self) -> bool:
+    async def start_garbled(self) -> bool:
         seen = self._seen("garbled")
         opened = seen["garbled"]
         if opened is None:
@@ -454,7 +398,7 @@ class ReplayRig(Rig):
         self._open_session(opened, seen)
         return True
 
-    async def _open_by_handshake(self) -> HandshakeEra:
+    async def open_by_handshake(self) -> HandshakeEra:
         seen = self._seen("handshake_era")
         self._follow(seen)
         return seen["handshake_era"]
@@ -464,40 +408,13 @@ class ReplayRig(Rig):
         if found["opened"] is not None:
             self._open_session(found["opened"], seen)
             if found["revision"] is None:
-                self._cursor.close_session()
+                self.cursor.close_session()
 
     async def close_handshake_era(self) -> None:
-        self._cursor.close_session()
+        self.cursor.close_session()
 
     async def close_session(self) -> None:
-        self._cursor.close_session()
+        self.cursor.close_session()
 
-    async def _stop(self) -> float:
-        self._state.running = False
-        seen = self._seen("stop")
-        _check_within(seen, f"the stop of {self.name}", ms=seen["stop"])
-        return seen["stop"]
-
-    async def start_device(self) -> float:
-        seen = self._seen("start")
-        started = seen["start"]
-        _check_within(seen, f"the start of {self.name}", ms=started["ms"], moment_ns=started["accepting_ns"])
-        self._state.running, self._state.history.accepting_ns = True, started["accepting_ns"]
-        self._state.history.restart()
-        return started["ms"]
-
-    async def _replace_session(self) -> FreshSession:
-        seen = self._seen("fresh_session")
-        fresh = seen["fresh_session"]
-        ended_ms = fresh["seconds"] * 1000
-        _check_within(seen, f"the new session of {self.name}", ms=ended_ms, moment_ns=fresh["spawned_ns"])
-        self._open_session(fresh["opened"], seen)
-        return FreshSession(**fresh)
-
-    async def take_slice(self) -> list[Entry]:
-        seen = self._seen("end")
-        end = seen["end"]
-        entries = self._until(end, seen["seen_ns"])
-        self._unread = self._unread[len(entries) :]
-        self._state.history.take(entries, end, seen["asked_ns"])
-        return entries
+    def _open_session(self, seq: int, seen: Observation) -> None:
+        self._state.history.open_session(seq, seen["seen_ns"])
