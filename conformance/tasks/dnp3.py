@@ -8,11 +8,9 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.dnp3 import oracle
-from pytest_otmcp.protocols.dnp3.points import NAMES, OUTSTATION, analog, latch, named, several
+from pytest_otmcp.protocols.dnp3 import calls, oracle
+from pytest_otmcp.protocols.dnp3.points import OUTSTATION, analog, latch, named, several
 from pytest_otmcp.protocols.exercise import Asked, Contended
-from pytest_otmcp.protocols.journal import Entries, Image
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
@@ -36,30 +34,7 @@ CONFIRMED_S = 1.0
 """Seconds within which a confirmation that was sent has arrived."""
 
 
-def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the outstation was asked for the points that a call reads."""
-    inputs = asked.inputs
-    if "name" in inputs:
-        kind, index, _ = NAMES[inputs["name"]]
-        return oracle.read_from_device(entries, kind, index)
-    kind = f"{asked.operation.removeprefix('read_')}_input"
-    return oracle.read_from_device(entries, kind, inputs["start"], inputs["count"])
-
-
-def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the outstation saw the one command of a call."""
-    inputs = asked.inputs
-    if "name" in inputs:
-        return oracle.exactly_one_operation(entries, "analog", NAMES[inputs["name"]][1], inputs["value"])
-    return oracle.exactly_one_operation(entries, "binary", inputs["index"], inputs["value"])
-
-
-def selected_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the outstation saw the one command of a call, which was selected before."""
-    return [*one_write(entries, image, asked), *oracle.selected_first(entries)]
-
-
-TASKS = further.Further("dnp3", witness=oracle.WITNESS, was_read=was_read, one_write=one_write)
+TASKS = further.Further("dnp3", witness=oracle.WITNESS, was_read=calls.was_read, one_write=calls.one_write)
 
 
 def latched(value: bool) -> Asked:
@@ -105,7 +80,7 @@ further.reads_back(
     write=lambda run: latched(bool(run.rng.getrandbits(1))),
     read=named("otmcp_pump").read_again,
     facet="read_alias",
-    judge=selected_write,
+    judge=calls.selected_write,
     asked="Latch a binary output to the other state, and read it where the adapter can.",
     seen="One SELECT and one OPERATE with the same objects and successive sequence numbers; every other point stays as it was.",
     why="An output that is operated without being selected, twice, or at the index beside it is another breaker.",
@@ -189,7 +164,7 @@ async def a_selection_times_out(run: Repetition, dnp3: Rig) -> None:
     run.fails(reply, "session_error", "timeout", outcome=("rejected", "unknown"), **told)
     journal = await dnp3.journal()
     run.witnessed(
-        one_write(journal, {}, asked),
+        calls.one_write(journal, {}, asked),
         oracle.refused_with_status(journal, TIMED_OUT),
         oracle.only_changed(before, await dnp3.device.image(), {}, otherwise="WR-001"),
     )
@@ -375,7 +350,7 @@ async def a_state_is_accepted(run: Repetition, dnp3: Rig) -> None:
     await dnp3.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-004"))
     asked = latched(False)
     run.succeeds(await further.call(dnp3, asked), **asked.outputs)
-    run.witnessed(one_write(await dnp3.journal(), {}, asked))
+    run.witnessed(calls.one_write(await dnp3.journal(), {}, asked))
 
 
 @TASKS.task(
@@ -440,7 +415,7 @@ further.beside(
     "Concurrent read and command of an analog output.",
     needs="read_alias write_alias",
     make=contended,
-    judge=selected_write,
+    judge=calls.selected_write,
     seen="One operation, selected before; {device} holds the new value.",
     why="A request between a selection and its operation ends the selection, which shows only under load.",
 )

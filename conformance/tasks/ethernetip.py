@@ -9,7 +9,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.ethernetip import oracle
+from pytest_otmcp.protocols.ethernetip import calls, oracle
 from pytest_otmcp.protocols.ethernetip.points import ELEMENT, TARGET, VALVE, array, elements, tag
 from pytest_otmcp.protocols.exercise import Asked, Contended
 from pytest_otmcp.protocols.journal import Entries, Image
@@ -32,26 +32,9 @@ PRIVILEGE_VIOLATION = 0x0F
 PATH_SEGMENT_ERROR, PATH_DESTINATION_UNKNOWN = 0x04, 0x05
 
 
-def tags_of(asked: Asked) -> list[str]:
-    """Return the names of the values that a call reads."""
-    name = str(asked.inputs["tag"])
-    if "count" not in asked.inputs:
-        return [name]
-    return elements(0, asked.inputs["count"], name.removesuffix("[0]"))
-
-
-def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the controller was asked for the values that a call reads."""
-    return oracle.read_from_device(entries, image, tags_of(asked))
-
-
-def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the controller saw the one write of a call."""
-    inputs = asked.inputs
-    return oracle.exactly_one_write(entries, image, inputs["tag"], inputs["type"], inputs["value"])
-
-
-TASKS = further.Further("ethernetip", witness=oracle.WITNESS, was_read=was_read, one_write=one_write, resolves=True)
+TASKS = further.Further(
+    "ethernetip", witness=oracle.WITNESS, was_read=calls.was_read, one_write=calls.one_write, resolves=True
+)
 
 
 def shows(reply: Reply, held: str) -> list[Finding]:
@@ -216,7 +199,7 @@ further.there(
         needs="read_tag",
         key="missing_tag",
         make=lambda name: tag(str(name)).reads(),
-        reached=lambda entries, image, asked: oracle.reached(entries, image, tags_of(asked)),
+        reached=calls.reached,
         refused=unknown,
         seen="The read, which {device} refuses with the general status 04 or 05.",
     ),

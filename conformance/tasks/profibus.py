@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked, Contended
-from pytest_otmcp.protocols.journal import Entries, Image
-from pytest_otmcp.protocols.profibus import oracle
+from pytest_otmcp.protocols.profibus import calls, oracle
 from pytest_otmcp.protocols.profibus.points import DRIVE, OTHERS, SIZES, VALVES, bytes_of, inputs_of, outputs_of
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
@@ -28,17 +26,7 @@ LONGEST_WATCHDOG_S = 5.0
 """Seconds: a slave whose watchdog is longer is watched no longer than that."""
 
 
-def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that a slave was asked for its inputs."""
-    return oracle.inputs_were_read(entries, station=asked.inputs["slave"])
-
-
-def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that a slave got the outputs of a call."""
-    return oracle.exactly_one_write(entries, station=asked.inputs["slave"], outputs=bytes(asked.inputs["data"]))
-
-
-TASKS = further.Further("profibus", witness=oracle.WITNESS, was_read=was_read, one_write=one_write)
+TASKS = further.Further("profibus", witness=oracle.WITNESS, was_read=calls.was_read, one_write=calls.one_write)
 
 
 def some_inputs(run: Repetition, station: int = VALVES) -> Asked:
@@ -131,7 +119,7 @@ async def the_guard_was_put_to_the_test(run: Repetition, profibus: Rig, profibus
     run.succeeds(await further.call(profibus, asked), **asked.outputs)
     run.witnessed(
         oracle.some_exchange(await profibus_ro.journal()),
-        one_write(await profibus.journal(), {}, asked),
+        calls.one_write(await profibus.journal(), {}, asked),
     )
     await profibus_ro.close_session()
     run.witnessed(oracle.nothing_driven_by(await profibus_ro.follow(oracle.Drives)))

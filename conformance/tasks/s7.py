@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked, Contended
-from pytest_otmcp.protocols.journal import Entries, Image
-from pytest_otmcp.protocols.s7 import oracle
+from pytest_otmcp.protocols.s7 import calls, oracle
 from pytest_otmcp.protocols.s7.entries import points
-from pytest_otmcp.protocols.s7.points import BLOCK, KINDS, PLANT, content_of, of_bytes, value_at
+from pytest_otmcp.protocols.s7.points import BLOCK, PLANT, of_bytes, value_at
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 
@@ -27,26 +25,7 @@ BLOCK_SIZE = 64
 OBJECT_DOES_NOT_EXIST, SERVICE_REFUSED = 0x0A, 0x8104
 
 
-def bytes_of(asked: Asked) -> dict[str, int]:
-    """Return which bytes a call reads."""
-    inputs = asked.inputs
-    size = inputs["size"] if "size" in inputs else KINDS[inputs["type"]].size
-    return {"db": inputs["db"], "start": inputs["start"], "size": size}
-
-
-def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the controller was asked for the bytes that a call reads."""
-    return oracle.read_from_device(entries, **bytes_of(asked))
-
-
-def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the controller saw the one write of a call."""
-    inputs = asked.inputs
-    written = content_of(inputs["type"], inputs["value"])
-    return oracle.exactly_one_write(entries, db=inputs["db"], start=inputs["start"], written=written)
-
-
-TASKS = further.Further("s7", witness=oracle.WITNESS, was_read=was_read, one_write=one_write)
+TASKS = further.Further("s7", witness=oracle.WITNESS, was_read=calls.was_read, one_write=calls.one_write)
 
 further.ping(TASKS, "K1", "Ping the adapter and confirm that the controller answers.")
 
@@ -192,7 +171,7 @@ further.there(
         needs="read_typed",
         key="missing_db",
         make=lambda missing: value_at(0, db=missing).reads(),
-        reached=lambda entries, image, asked: oracle.reached(entries, **bytes_of(asked)),
+        reached=calls.reached,
         refused=partial(oracle.refused_with, code=OBJECT_DOES_NOT_EXIST),
         seen="The read, which {device} refuses with the return code 0A.",
     ),
