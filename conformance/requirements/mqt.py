@@ -18,6 +18,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
 from ..commanded import some_command
+from ..tasks.common import UNCERTAIN
 from ..tasks.messages import collect, publish_from_kit, sync_point, tells_topics
 from .mqtt_steps import nonce, until, until_it_works
 from .steps import CONNECTION_FAULTS, answers_again, citing, exercise, since, some_read
@@ -34,7 +35,6 @@ _LATE_S = 0.2
 _NOTICING_S = 1.0
 """Seconds for which a publication may still be handed to a connection that has just been cut."""
 
-_UNCERTAIN = ("not_sent", "unknown")
 _BURST = 5200
 _MOST_READS = 120
 
@@ -81,7 +81,7 @@ async def _commands_are_acknowledged(run: Repetition, mqtt: Rig) -> None:
         if "delay_s" in action:
             run.succeeds(reply, requirement="MQT-001")
         elif not reply.success:
-            run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
+            run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
         reading = exercise(mqtt).read(run.rng)
         if mqtt.can_ask(reading.operation, reading.inputs):
             await answers_again(run, mqtt)
@@ -140,7 +140,7 @@ async def _unacknowledged(run: Repetition, mqtt: Rig, qos: int, rule: Mapping[st
     await mqtt.device.fault()
     run.witnessed(_acknowledged(reply, await mqtt.journal(), payload))
     if not reply.success:
-        run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
+        run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
     asked = some_read(run, mqtt) or Asked(
         operation="publish", inputs={"topic": _PUMP, "payload": f"again-{nonce(run)}", "qos": 0}
     )
@@ -154,7 +154,7 @@ async def _nobody_is_there(run: Repetition, mqtt: Rig) -> None:
     await mqtt.stop_device()
     payload = f"lost-{nonce(run)}"
     reply = await mqtt.call_until_failure("publish", window_s=_NOTICING_S, topic=_PUMP, payload=payload, qos=0)
-    run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
     await mqtt.start_device()
     asked: dict[str, Any] = {"topic": _PUMP, "payload": f"back-{nonce(run)}", "qos": 0}
     replies = await mqtt.call_until_success("publish", window_s=mqtt.subject.recovery_s, **asked)

@@ -11,7 +11,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-from ..tasks.common import each_fails, each_write
+from ..tasks.common import NOTICING_S, each_fails, each_write
 from ..tasks.messages import publish_from_kit
 from .steps import CONNECTION_FAULTS, a_read_works, answers_again, exercise, faulty, read, vanishing
 
@@ -23,8 +23,6 @@ _OUTAGES = {False: 2, True: 20}
 """Outages in the short and in the long form."""
 
 _CALLS = {False: 5, True: 50}
-_NOTICING_S = 1.0
-"""Seconds for which a status from memory may still say "connected", where the subject declares no longer time."""
 
 _SECOND_BYTE, _LAST_BYTES = 1, 3
 _MANGLED = (
@@ -84,7 +82,7 @@ async def calls_fail_during_an_outage(run: Repetition, at: Rig) -> None:
         reply = await at.call(asked.operation, **asked.inputs)
         run.fails(reply, *CONNECTION_FAULTS, requirement="REC-002", code_requirement="ERR-005")
     for status in statuses:
-        window_s = max(_NOTICING_S, at.subject.max_age_s(status) or 0.0)
+        window_s = max(NOTICING_S, at.subject.max_age_s(status) or 0.0)
         noticed = await at.call_until_failure(status, window_s=window_s)
         run.fails(noticed, *CONNECTION_FAULTS, requirement="REC-002", code_requirement="ERR-005")
     await each_fails(run, at, writes, code_requirement="ERR-005")

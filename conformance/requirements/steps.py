@@ -18,6 +18,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
 from ..commanded import asked_of_the_device
+from ..tasks.common import CONNECTION_FAULTS, NOTHING_SENT, QUIET_S
 from ..within import exercise
 
 __all__ = [
@@ -53,16 +54,8 @@ __all__ = [
     "written_once",
 ]
 
-QUIET_S = 0.25
-"""Seconds for which a device is watched for a request that must not come."""
-
 _POLLED_S = 3.0
 """How long is looked for requests that nobody has asked for, before equal requests are held against a call."""
-
-CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
-
-NOTHING_SENT = ("not_sent", "not_applicable")
-"""Outcomes of a call that the adapter refuses by itself; a read may have none."""
 
 
 def can_read(run: Repetition, at: Rig) -> bool:

@@ -32,7 +32,7 @@ from pytest_otmcp.wire.mqtt.sparkplug import parse_topic
 
 from ..commanded import carried_out
 from ..commanded import guarded as guarded_command
-from ..tasks.common import a_meaningless_switch_enables_nothing, each_fails, each_write
+from ..tasks.common import UNCERTAIN, a_meaningless_switch_enables_nothing, each_fails, each_write
 from .steps import (
     CONNECTION_FAULTS,
     NOTHING_SENT,
@@ -59,7 +59,6 @@ __all__ = ["TASKS"]
 
 TASKS = Checks()
 
-_UNCERTAIN = ("not_sent", "unknown")
 _LATE_S = 0.2
 """Seconds by which an answer is late, well below every timeout."""
 
@@ -291,7 +290,7 @@ async def a_write_is_sent_once(run: Repetition, at: Rig) -> None:
         await answers_again(run, at)
         await at.watch(QUIET_S)
         if not reply.success:
-            run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="WR-003", code_requirement="ERR-005")
+            run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-003", code_requirement="ERR-005")
         entries = since(reply, await at.journal())
         run.witnessed(_at_most_once(at, reply, asks.done(entries, asked), "WR-003", entries))
 

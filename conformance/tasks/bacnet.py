@@ -8,9 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.bacnet import oracle
-from pytest_otmcp.protocols.bacnet.entries import Target
+from pytest_otmcp.protocols.bacnet import calls, oracle
 from pytest_otmcp.protocols.bacnet.points import (
     DEVICE,
     LEVEL,
@@ -24,7 +22,6 @@ from pytest_otmcp.protocols.bacnet.points import (
     value_of,
 )
 from pytest_otmcp.protocols.exercise import Asked, Contended
-from pytest_otmcp.protocols.journal import Entries, Image
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 
@@ -39,29 +36,7 @@ OTHER_PRIORITY = 5
 UNKNOWN_OBJECT, VALUE_OUT_OF_RANGE, WRITE_ACCESS_DENIED = (1, 31), (2, 37), (2, 40)
 
 
-def target_of(asked: Asked) -> Target:
-    """Return the object that a call is about."""
-    return str(asked.inputs["type"]), int(asked.inputs["instance"])
-
-
-def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the device was asked for the present value that a call reads."""
-    return oracle.read_from_device(entries, target_of(asked))
-
-
-def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the device saw the one write of a call, at whichever priority."""
-    return oracle.exactly_one_write(entries, target_of(asked), "real", asked.inputs["value"])
-
-
-def at_its_priority(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the device saw the one write of a call, at the priority that was asked for."""
-    value, priority = asked.inputs["value"], asked.inputs["priority"]
-    kind = "null" if value is None else "real"
-    return oracle.exactly_one_write(entries, target_of(asked), kind, value, priority=priority)
-
-
-TASKS = further.Further("bacnet", witness=oracle.WITNESS, was_read=was_read, one_write=one_write)
+TASKS = further.Further("bacnet", witness=oracle.WITNESS, was_read=calls.was_read, one_write=calls.one_write)
 
 
 def valve(value: float | None) -> Asked:
@@ -69,7 +44,13 @@ def valve(value: float | None) -> Asked:
     return value_of(VALVE).write(value)
 
 
-ping = further.ping(TASKS, "B1", "Ping the adapter and confirm that the BACnet device answers.")
+ping = further.ping(
+    TASKS,
+    "B1",
+    "Ping the adapter and confirm that the BACnet device answers.",
+    seen="{device} answers at least one request during the call: a Who-Is or a read.",
+    why="A status from memory still says so when the plant is gone, and a datagram that was sent proves nothing.",
+)
 
 
 @ping.after
@@ -137,7 +118,10 @@ further.reads_back(
     needs="write write.priority read",
     write=raised,
     read=value_of(VALVE).read_again,
-    judge=at_its_priority,
+    judge=calls.at_its_priority,
+    asked="Write an analog output at priority 8, and read it.",
+    seen="One write of this REAL at this priority; the slot and the present value hold it, every other slot and object stays as it was.",
+    why="A write without its priority takes the plant out of the hands of its operators, or stays without effect.",
 )
 
 further.guard(
@@ -147,6 +131,7 @@ further.guard(
     needs="write read",
     write=lambda run: valve(99.5),
     read=lambda run: value_of(ZONE).reads(),
+    seen="No service that changes the device, no time synchronization; the device holds what it held.",
 )
 
 
@@ -176,7 +161,7 @@ async def a_higher_priority_wins(run: Repetition, bacnet: Rig) -> None:
     elif reply.outputs.get("value") != kept + 0.5:
         run.judge(reply, [oracle.not_effective(reply.outputs.get("value"), kept + 0.5, reply.label)])
     run.witnessed(
-        at_its_priority(await bacnet.journal(), {}, asked),
+        calls.at_its_priority(await bacnet.journal(), {}, asked),
         oracle.only_changed(before, after, {oracle.slot(VALVE, PRIORITY): value + 0.5}),
     )
 
@@ -203,7 +188,7 @@ async def relinquish(run: Repetition, bacnet: Rig) -> None:
     asked = valve(None)
     run.succeeds(await further.call(bacnet, asked))
     run.witnessed(
-        at_its_priority(await bacnet.journal(), {}, asked),
+        calls.at_its_priority(await bacnet.journal(), {}, asked),
         oracle.only_changed(
             before,
             await bacnet.device.image(),
@@ -219,10 +204,11 @@ missing = further.missing(
     needs="read",
     key="missing_instance",
     make=lambda instance: value_of(("analog-input", int(instance))).reads(),
-    reached=lambda entries, image, asked: oracle.reached(entries, target_of(asked)),
+    reached=calls.reached,
     refused=lambda entries: oracle.refused_with(entries, *UNKNOWN_OBJECT),
     trace=dict(zip(("error_class", "error_code"), UNKNOWN_OBJECT, strict=True)),
     partly=False,
+    seen="The read, which the device refuses with unknown-object.",
 )
 
 
@@ -333,7 +319,7 @@ async def nothing_follows_a_refusal(run: Repetition, bacnet: Rig) -> None:
     await bacnet.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-002"))
     asked = value_of(VALVE, priority=10).write(30.5)
     run.succeeds(await further.call(bacnet, asked), **asked.outputs)
-    run.witnessed(at_its_priority(await bacnet.journal(), {}, asked))
+    run.witnessed(calls.at_its_priority(await bacnet.journal(), {}, asked))
 
 
 def four(run: Repetition) -> list[Asked]:

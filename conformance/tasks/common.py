@@ -25,6 +25,7 @@ from ..within import allowed, exercise
 __all__ = [
     "CONNECTION_FAULTS",
     "NOTHING_SENT",
+    "NOTICING_S",
     "QUIET_S",
     "RAPID_CALLS",
     "UNCERTAIN",

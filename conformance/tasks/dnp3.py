@@ -8,11 +8,9 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.dnp3 import oracle
-from pytest_otmcp.protocols.dnp3.points import NAMES, OUTSTATION, analog, latch, named, several
+from pytest_otmcp.protocols.dnp3 import calls, oracle
+from pytest_otmcp.protocols.dnp3.points import OUTSTATION, analog, latch, named, several
 from pytest_otmcp.protocols.exercise import Asked, Contended
-from pytest_otmcp.protocols.journal import Entries, Image
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
@@ -36,30 +34,7 @@ CONFIRMED_S = 1.0
 """Seconds within which a confirmation that was sent has arrived."""
 
 
-def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the outstation was asked for the points that a call reads."""
-    inputs = asked.inputs
-    if "name" in inputs:
-        kind, index, _ = NAMES[inputs["name"]]
-        return oracle.read_from_device(entries, kind, index)
-    kind = f"{asked.operation.removeprefix('read_')}_input"
-    return oracle.read_from_device(entries, kind, inputs["start"], inputs["count"])
-
-
-def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the outstation saw the one command of a call."""
-    inputs = asked.inputs
-    if "name" in inputs:
-        return oracle.exactly_one_operation(entries, "analog", NAMES[inputs["name"]][1], inputs["value"])
-    return oracle.exactly_one_operation(entries, "binary", inputs["index"], inputs["value"])
-
-
-def selected_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the outstation saw the one command of a call, which was selected before."""
-    return [*one_write(entries, image, asked), *oracle.selected_first(entries)]
-
-
-TASKS = further.Further("dnp3", witness=oracle.WITNESS, was_read=was_read, one_write=one_write)
+TASKS = further.Further("dnp3", witness=oracle.WITNESS, was_read=calls.was_read, one_write=calls.one_write)
 
 
 def latched(value: bool) -> Asked:
@@ -77,7 +52,12 @@ def some_analog(run: Repetition, count: int) -> list[Asked]:
     return [analog(FIRST_ANALOG + place).read(value) for place, value in enumerate(drawn(run, count))]
 
 
-further.ping(TASKS, "D1", "Ping the adapter and confirm that the outstation answers.")
+further.ping(
+    TASKS,
+    "D1",
+    "Ping the adapter and confirm that the outstation answers.",
+    seen="{device} answers at least one request during the call: for the status of its link, or another.",
+)
 
 further.reads(
     TASKS,
@@ -88,6 +68,8 @@ further.reads(
         several("analog", FIRST_ANALOG, 4).read(drawn(run, 4)),
         several("binary", FIRST_BINARY, 4).read([bool(run.rng.getrandbits(1)) for _ in range(4)]),
     ],
+    seen="A read of these points, by their indexes or by class 0, and nothing that changes the plant.",
+    why="Values from memory, or with an index that begins at another number, look right until an operator acts on them.",
 )
 
 further.reads_back(
@@ -98,7 +80,10 @@ further.reads_back(
     write=lambda run: latched(bool(run.rng.getrandbits(1))),
     read=named("otmcp_pump").read_again,
     facet="read_alias",
-    judge=selected_write,
+    judge=calls.selected_write,
+    asked="Latch a binary output to the other state, and read it where the adapter can.",
+    seen="One SELECT and one OPERATE with the same objects and successive sequence numbers; every other point stays as it was.",
+    why="An output that is operated without being selected, twice, or at the index beside it is another breaker.",
 )
 
 further.guard(
@@ -108,6 +93,7 @@ further.guard(
     needs="write_binary read_analog",
     write=lambda run: latched(True),
     read=lambda run: analog(FIRST_ANALOG).reads(),
+    seen="No SELECT and nothing else that changes the plant; the restart bit and the clock are every master's to write.",
 )
 
 
@@ -178,7 +164,7 @@ async def a_selection_times_out(run: Repetition, dnp3: Rig) -> None:
     run.fails(reply, "session_error", "timeout", outcome=("rejected", "unknown"), **told)
     journal = await dnp3.journal()
     run.witnessed(
-        one_write(journal, {}, asked),
+        calls.one_write(journal, {}, asked),
         oracle.refused_with_status(journal, TIMED_OUT),
         oracle.only_changed(before, await dnp3.device.image(), {}, otherwise="WR-001"),
     )
@@ -350,6 +336,7 @@ write_wrong_type = further.refused_by_itself(
     "Write a text to a binary output and expect adapter rejection.",
     needs="write_binary",
     make=lambda run: latch(LATCH).writes("off"),
+    why="A text is true in many languages, and a breaker that was to open closes.",
 )
 
 
@@ -363,7 +350,7 @@ async def a_state_is_accepted(run: Repetition, dnp3: Rig) -> None:
     await dnp3.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ADR-004"))
     asked = latched(False)
     run.succeeds(await further.call(dnp3, asked), **asked.outputs)
-    run.witnessed(one_write(await dnp3.journal(), {}, asked))
+    run.witnessed(calls.one_write(await dnp3.journal(), {}, asked))
 
 
 @TASKS.task(
@@ -428,7 +415,9 @@ further.beside(
     "Concurrent read and command of an analog output.",
     needs="read_alias write_alias",
     make=contended,
-    judge=selected_write,
+    judge=calls.selected_write,
+    seen="One operation, selected before; {device} holds the new value.",
+    why="A request between a selection and its operation ends the selection, which shows only under load.",
 )
 
 
@@ -438,7 +427,14 @@ def fifty(run: Repetition) -> list[Asked]:
     return [pair[number % 2] for number in range(RAPID_CALLS)]
 
 
-further.rapid(TASKS, "SD3", "Fifty reads of analog inputs in a row.", needs="read_analog", make=fifty)
+further.rapid(
+    TASKS,
+    "SD3",
+    "Fifty reads of analog inputs in a row.",
+    needs="read_analog",
+    make=fifty,
+    why="Leaks, caches and the four bits of a sequence number show in a long series only.",
+)
 
 further.restart(
     TASKS,

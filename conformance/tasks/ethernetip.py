@@ -9,7 +9,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.ethernetip import oracle
+from pytest_otmcp.protocols.ethernetip import calls, oracle
 from pytest_otmcp.protocols.ethernetip.points import ELEMENT, TARGET, VALVE, array, elements, tag
 from pytest_otmcp.protocols.exercise import Asked, Contended
 from pytest_otmcp.protocols.journal import Entries, Image
@@ -32,26 +32,9 @@ PRIVILEGE_VIOLATION = 0x0F
 PATH_SEGMENT_ERROR, PATH_DESTINATION_UNKNOWN = 0x04, 0x05
 
 
-def tags_of(asked: Asked) -> list[str]:
-    """Return the names of the values that a call reads."""
-    name = str(asked.inputs["tag"])
-    if "count" not in asked.inputs:
-        return [name]
-    return elements(0, asked.inputs["count"], name.removesuffix("[0]"))
-
-
-def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the controller was asked for the values that a call reads."""
-    return oracle.read_from_device(entries, image, tags_of(asked))
-
-
-def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the controller saw the one write of a call."""
-    inputs = asked.inputs
-    return oracle.exactly_one_write(entries, image, inputs["tag"], inputs["type"], inputs["value"])
-
-
-TASKS = further.Further("ethernetip", witness=oracle.WITNESS, was_read=was_read, one_write=one_write, resolves=True)
+TASKS = further.Further(
+    "ethernetip", witness=oracle.WITNESS, was_read=calls.was_read, one_write=calls.one_write, resolves=True
+)
 
 
 def shows(reply: Reply, held: str) -> list[Finding]:
@@ -74,7 +57,14 @@ def sensors(run: Repetition) -> list[Asked]:
     return [tag("MotorSpeed").read(speed), tag("Temperature").read(temperature), array(0, 3, LEVELS).read(levels)]
 
 
-further.reads(TASKS, "E2", "Read two tags and three elements of an array.", needs="read_tag read_array", make=sensors)
+further.reads(
+    TASKS,
+    "E2",
+    "Read two tags and three elements of an array.",
+    needs="read_tag read_array",
+    make=sensors,
+    asked="Read motor speed, temperature and three levels, which were set at random just before.",
+)
 
 further.reads_back(
     TASKS,
@@ -83,6 +73,7 @@ further.reads_back(
     needs="write_tag read_tag",
     write=lambda run: VALVE.write(40 + run.rep, before=~(40 + run.rep)),
     read=VALVE.read_again,
+    seen="One write of one element of the type DINT, the least significant byte first; every other value stays as it was.",
 )
 
 further.guard(
@@ -92,6 +83,7 @@ further.guard(
     needs="write_tag read_tag",
     write=lambda run: VALVE.write(999),
     read=lambda run: VALVE.reads(),
+    seen="No service that writes, sets, starts, stops or resets anything; {device} holds what it held.",
 )
 
 
@@ -207,8 +199,9 @@ further.there(
         needs="read_tag",
         key="missing_tag",
         make=lambda name: tag(str(name)).reads(),
-        reached=lambda entries, image, asked: oracle.reached(entries, image, tags_of(asked)),
+        reached=calls.reached,
         refused=unknown,
+        seen="The read, which {device} refuses with the general status 04 or 05.",
     ),
     read=lambda run: TARGET.read(run.rng.choice(DINT_RANGE)),
     beyond=array(9, 2, LEVELS).reads(),
@@ -227,6 +220,7 @@ further.overflow(
     needs="write_tag",
     make=lambda run: VALVE.writes(2**40),
     fits=largest,
+    why="2 to the 40 cut down to 32 bits is 0, a value that nobody asked for.",
 )
 
 further.refused_by_itself(

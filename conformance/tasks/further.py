@@ -12,6 +12,7 @@ Words in braces in the docstrings of steps are those of the protocol.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
@@ -23,6 +24,7 @@ from pytest_otmcp.protocols.point import Point
 from pytest_otmcp.protocols.protocol import GUARD
 from pytest_otmcp.protocols.session_oracle import StateChanges
 from pytest_otmcp.trial.check import Generic, on_protocol
+from pytest_otmcp.trial.explanation import explanation
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
@@ -128,12 +130,14 @@ class Further(Tasks):
         requirements: str,
         guard: bool = False,
         keys: str = "",
+        told: Mapping[str, str] | None = None,
     ) -> Callable[[Generic], Task]:
         """Return a decorator that turns steps into the item of this protocol.
 
         Args:
             needs, keys: as of :meth:`~pytest_otmcp.trial.task.Tasks.task`, without the protocol.
             guard: the steps get the read-only variant, and no other.
+            told: what their docstring says otherwise on this protocol: ``asked``, ``said``, ``seen`` or ``why``.
         """
         facets = [*needs.split(), *[GUARD] * guard]
         declare = self.task(
@@ -145,7 +149,8 @@ class Further(Tasks):
             requirements=requirements,
             keys=" ".join(f"{self.protocol}.{key}" for key in keys.split()),
         )
-        return lambda steps: declare(self._told(steps, f"{self.protocol}_ro" if guard else self.protocol))
+        adapter = f"{self.protocol}_ro" if guard else self.protocol
+        return lambda steps: declare(on_protocol(adapter, self._told(steps, told)))
 
     def after(self, task: Task, *, guard: bool = False) -> Callable[[Generic], None]:
         """Return a decorator that registers steps which run once after the repetitions.
@@ -155,13 +160,17 @@ class Further(Tasks):
         """
 
         def declare(steps: Generic) -> None:
-            task.after(self._told(steps, self.protocol, *[GUARD] * guard))
+            task.after(on_protocol(self.protocol, self._told(steps), [GUARD] * guard))
 
         return declare
 
-    def _told(self, steps: Generic, adapter: str, *launches: str) -> Any:
-        steps.__doc__ = (steps.__doc__ or "").format(device=self.device)
-        return on_protocol(adapter, steps, launches)
+    def _told(self, steps: Generic, told: Mapping[str, str] | None = None) -> Generic:
+        """Return steps whose docstring is about this protocol."""
+        parts = {**asdict(explanation(steps)), **(told or {})}
+        asked, *others = (f"{name.title()}: {text}" for name, text in parts.items() if text)
+        text = "\n".join([asked.removeprefix("Asked: "), "", *others])
+        steps.__doc__ = text.format(device=self.device)
+        return steps
 
     def _was_read(self, entries: Entries, image: Image, asked: Asked) -> list[Finding]:
         wanted = {"kind": asked.operation, **asked.inputs}
@@ -207,10 +216,10 @@ async def call(at: Rig, asked: Asked) -> Reply:
     return await at.call(asked.operation, **asked.inputs)
 
 
-def ping(of: Further, id: str, title: str) -> Task:
+def ping(of: Further, id: str, title: str, **told: str) -> Task:
     """Declare the item that asks whether the device can be reached."""
 
-    @of.item(id, "normal", title, needs="ping", capability="reading", requirements="REC-002 MCP-008")
+    @of.item(id, "normal", title, needs="ping", capability="reading", requirements="REC-002 MCP-008", told=told)
     async def steps(run: Repetition, at: Rig) -> None:
         """Ask whether {device} can be reached.
 
@@ -233,14 +242,16 @@ def ping(of: Further, id: str, title: str) -> Task:
     return steps
 
 
-def reads(of: Further, id: str, title: str, *, needs: str, make: Of[Sequence[Asked]]) -> Task:
+def reads(of: Further, id: str, title: str, *, needs: str, make: Of[Sequence[Asked]], **told: str) -> Task:
     """Declare the item that reads values.
 
     Args:
         make: the reads; with the points of the image that hold their values, where it has some.
     """
 
-    @of.item(id, "normal", title, needs=needs, capability="reading", requirements="RD-001 RD-002 RD-004 MCP-009")
+    @of.item(
+        id, "normal", title, needs=needs, capability="reading", requirements="RD-001 RD-002 RD-004 MCP-009", told=told
+    )
     async def steps(run: Repetition, at: Rig) -> None:
         """Read values of {device}, which were set at random just before.
 
@@ -288,6 +299,7 @@ def reads_back(
     read: Callable[[Image], Asked] | None = None,
     facet: str | None = None,
     judge: Judge | None = None,
+    **told: str,
 ) -> Task:
     """Declare the item that writes a value and reads it back.
 
@@ -297,7 +309,7 @@ def reads_back(
         judge: of the write; None is that of the protocol.
     """
 
-    @of.item(id, "normal", title, needs=needs, capability="writing", requirements="WR-001 WR-002 WR-003")
+    @of.item(id, "normal", title, needs=needs, capability="writing", requirements="WR-001 WR-002 WR-003", told=told)
     async def steps(run: Repetition, at: Rig) -> None:
         """Write a value, and read it where the adapter can.
 
@@ -326,7 +338,7 @@ def reads_back(
     return steps
 
 
-def guard(of: Further, id: str, title: str, *, needs: str, write: Of[Asked], read: Of[Asked]) -> Task:
+def guard(of: Further, id: str, title: str, *, needs: str, write: Of[Asked], read: Of[Asked], **told: str) -> Task:
     """Declare the item that writes with writes disabled."""
 
     @of.item(
@@ -337,6 +349,7 @@ def guard(of: Further, id: str, title: str, *, needs: str, write: Of[Asked], rea
         guard=True,
         capability="write_protection",
         requirements="WR-004 WR-005 ERR-006",
+        told=told,
     )
     async def steps(run: Repetition, guarded: Rig) -> None:
         """Write a value through the adapter that was started with writes disabled.
@@ -388,6 +401,7 @@ def missing(
     refused: Callable[[Entries], list[Finding]],
     trace: dict[str, object] | None = None,
     partly: bool = True,
+    **told: str,
 ) -> Task:
     """Declare the item that reads what the device does not have.
 
@@ -408,6 +422,7 @@ def missing(
         capability="refusing",
         requirements="ERR-002 ENV-007 RD-005" + " RD-007" * partly,
         keys=f"probes.{key}",
+        told=told,
     )
     async def steps(run: Repetition, at: Rig) -> None:
         """Read a place that {device} does not have.
@@ -492,6 +507,7 @@ def refused_by_itself(
     make: Of[Asked],
     codes: str = "type_mismatch invalid_input",
     requirements: str = "ADR-004 ERR-006",
+    **told: str,
 ) -> Task:
     """Declare the item that writes a value of another type, or one that does not fit.
 
@@ -500,8 +516,11 @@ def refused_by_itself(
         requirements: of the item; the first is the one that a write which is not refused breaks.
     """
     first = requirements.split()[0]
+    said = f"A failure with {' or '.join(f'`{code}`' for code in codes.split())}, and the outcome `not_sent`."
 
-    @of.item(id, "fault", title, needs=needs, capability="refusing", requirements=requirements)
+    @of.item(
+        id, "fault", title, needs=needs, capability="refusing", requirements=requirements, told={"said": said, **told}
+    )
     async def steps(run: Repetition, at: Rig) -> None:
         """Write a value that the target cannot hold.
 
@@ -523,6 +542,7 @@ def overflow(
     make: Of[Asked],
     fits: Callable[[Repetition, Rig], Asked],
     requirements: str = "ADR-003 ADR-004 ERR-006",
+    **told: str,
 ) -> Task:
     """Declare the item that writes a value beyond the largest one.
 
@@ -530,7 +550,9 @@ def overflow(
         make: the write that does not fit.
         fits: the write of the largest value.
     """
-    task = refused_by_itself(of, id, title, needs=needs, make=make, codes="range_overflow", requirements=requirements)
+    task = refused_by_itself(
+        of, id, title, needs=needs, make=make, codes="range_overflow", requirements=requirements, **told
+    )
 
     @of.after(task)
     async def the_largest_value_is_accepted(run: Repetition, at: Rig) -> None:
@@ -547,10 +569,10 @@ def overflow(
     return task
 
 
-def four_at_once(of: Further, id: str, title: str, *, needs: str, make: Of[Sequence[Asked]]) -> Task:
+def four_at_once(of: Further, id: str, title: str, *, needs: str, make: Of[Sequence[Asked]], **told: str) -> Task:
     """Declare the item that makes four reads at the same time."""
 
-    @of.item(id, "stress", title, needs=needs, capability="load", requirements="CON-001")
+    @of.item(id, "stress", title, needs=needs, capability="load", requirements="CON-001", told=told)
     async def steps(run: Repetition, at: Rig) -> None:
         """Read four values by four calls at the same time.
 
@@ -570,13 +592,7 @@ def four_at_once(of: Further, id: str, title: str, *, needs: str, make: Of[Seque
 
 
 def beside(
-    of: Further,
-    id: str,
-    title: str,
-    *,
-    needs: str,
-    make: Of[Contended],
-    judge: Judge | None = None,
+    of: Further, id: str, title: str, *, needs: str, make: Of[Contended], judge: Judge | None = None, **told: str
 ) -> Task:
     """Declare the item that reads and writes at the same time.
 
@@ -585,7 +601,7 @@ def beside(
         judge: of the write; None is that of the protocol.
     """
 
-    @of.item(id, "stress", title, needs=needs, capability="load", requirements="CON-004 WR-003")
+    @of.item(id, "stress", title, needs=needs, capability="load", requirements="CON-004 WR-003", told=told)
     async def steps(run: Repetition, at: Rig) -> None:
         """Read a value and write it at the same time; where outputs cannot be read, read inputs beside the write.
 
@@ -609,10 +625,10 @@ def beside(
     return steps
 
 
-def rapid(of: Further, id: str, title: str, *, needs: str, make: Of[Sequence[Asked]]) -> Task:
+def rapid(of: Further, id: str, title: str, *, needs: str, make: Of[Sequence[Asked]], **told: str) -> Task:
     """Declare the item that reads many times in a row."""
 
-    @of.item(id, "stress", title, needs=needs, capability="load", requirements="CON-006")
+    @of.item(id, "stress", title, needs=needs, capability="load", requirements="CON-006", told=told)
     async def steps(run: Repetition, at: Rig) -> None:
         """Read fifty times, one call after the other; values change before they are read.
 

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked, Contended
-from pytest_otmcp.protocols.journal import Entries, Image
-from pytest_otmcp.protocols.profibus import oracle
+from pytest_otmcp.protocols.profibus import calls, oracle
 from pytest_otmcp.protocols.profibus.points import DRIVE, OTHERS, SIZES, VALVES, bytes_of, inputs_of, outputs_of
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
@@ -28,17 +26,7 @@ LONGEST_WATCHDOG_S = 5.0
 """Seconds: a slave whose watchdog is longer is watched no longer than that."""
 
 
-def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that a slave was asked for its inputs."""
-    return oracle.inputs_were_read(entries, station=asked.inputs["slave"])
-
-
-def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that a slave got the outputs of a call."""
-    return oracle.exactly_one_write(entries, station=asked.inputs["slave"], outputs=bytes(asked.inputs["data"]))
-
-
-TASKS = further.Further("profibus", witness=oracle.WITNESS, was_read=was_read, one_write=one_write)
+TASKS = further.Further("profibus", witness=oracle.WITNESS, was_read=calls.was_read, one_write=calls.one_write)
 
 
 def some_inputs(run: Repetition, station: int = VALVES) -> Asked:
@@ -53,10 +41,26 @@ def some_outputs(run: Repetition) -> Asked:
 
 further.ping(TASKS, "P1", "Ping the adapter and confirm that a slave answers.")
 
-further.reads(TASKS, "P2", "Read the inputs of a slave.", needs="read_inputs", make=lambda run: [some_inputs(run)])
+further.reads(
+    TASKS,
+    "P2",
+    "Read the inputs of a slave.",
+    needs="read_inputs",
+    make=lambda run: [some_inputs(run)],
+    seen="The slave is asked for its inputs, and no slave gets other outputs.",
+    why="A process image from memory looks right until an operator acts on it.",
+)
 
 write_outputs = further.reads_back(
-    TASKS, "P3", "Write the outputs of a slave.", needs="write_outputs", write=some_outputs
+    TASKS,
+    "P3",
+    "Write the outputs of a slave.",
+    needs="write_outputs",
+    write=some_outputs,
+    asked="Write the two output bytes of slave 5.",
+    said="These bytes.",
+    seen="The slave is parameterised and configured, if it was not; one change of its outputs, to these bytes; no other slave gets others.",
+    why="A slave that was not parameterised takes no outputs, whatever was sent; one that gets another number of bytes drops them all.",
 )
 
 
@@ -115,7 +119,7 @@ async def the_guard_was_put_to_the_test(run: Repetition, profibus: Rig, profibus
     run.succeeds(await further.call(profibus, asked), **asked.outputs)
     run.witnessed(
         oracle.some_exchange(await profibus_ro.journal()),
-        one_write(await profibus.journal(), {}, asked),
+        calls.one_write(await profibus.journal(), {}, asked),
     )
     await profibus_ro.close_session()
     run.witnessed(oracle.nothing_driven_by(await profibus_ro.follow(oracle.Drives)))
@@ -232,6 +236,7 @@ further.refused_by_itself(
     needs="write_outputs",
     make=lambda run: outputs_of(VALVES).writes([*bytes_of(run.rng, VALVES), 1]),
     codes="limit_exceeded type_mismatch range_overflow invalid_input",
+    why="A slave that gets another number of bytes than was configured leaves data exchange, and all of its outputs fall.",
 )
 
 further.overflow(
@@ -242,6 +247,7 @@ further.overflow(
     make=lambda run: outputs_of(VALVES).writes([300, *bytes_of(run.rng, VALVES)[1:]]),
     fits=lambda run, at: outputs_of(VALVES).write([0xFF, *bytes_of(run.rng, VALVES)[1:]]),
     requirements="ADR-003 ERR-006",
+    why="300 cut down to 8 bits is 44, a value that nobody asked for.",
 )
 
 
@@ -310,7 +316,14 @@ def four(run: Repetition) -> list[Asked]:
     return [*three, three[0]]
 
 
-further.four_at_once(TASKS, "SP1", "Four concurrent reads of inputs.", needs="read_inputs", make=four)
+further.four_at_once(
+    TASKS,
+    "SP1",
+    "Four concurrent reads of inputs.",
+    needs="read_inputs",
+    make=four,
+    why="A telegram has no number: an answer that belongs to another call is a wrong value that looks right.",
+)
 
 
 def inputs_and_outputs(run: Repetition) -> Contended:
@@ -325,6 +338,9 @@ further.beside(
     "Concurrent read of the inputs and write of the outputs of a slave.",
     needs="read_inputs write_outputs",
     make=inputs_and_outputs,
+    asked="Read the inputs of a slave and write its outputs at the same time.",
+    said="The inputs for the read, success for the write.",
+    why="Two telegrams that cross on the line, or a lost write, show only under load.",
 )
 
 further.rapid(
@@ -333,6 +349,7 @@ further.rapid(
     "Fifty reads of inputs in a row.",
     needs="read_inputs",
     make=lambda run: [some_inputs(run, DRIVE) for _ in range(RAPID_CALLS)],
+    why="Leaks, caches and lines that fall out of step show in a long series only.",
 )
 
 further.restart(

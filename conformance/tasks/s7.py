@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked, Contended
-from pytest_otmcp.protocols.journal import Entries, Image
-from pytest_otmcp.protocols.s7 import oracle
+from pytest_otmcp.protocols.s7 import calls, oracle
 from pytest_otmcp.protocols.s7.entries import points
-from pytest_otmcp.protocols.s7.points import BLOCK, KINDS, PLANT, content_of, of_bytes, value_at
+from pytest_otmcp.protocols.s7.points import BLOCK, PLANT, of_bytes, value_at
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 
@@ -27,26 +25,7 @@ BLOCK_SIZE = 64
 OBJECT_DOES_NOT_EXIST, SERVICE_REFUSED = 0x0A, 0x8104
 
 
-def bytes_of(asked: Asked) -> dict[str, int]:
-    """Return which bytes a call reads."""
-    inputs = asked.inputs
-    size = inputs["size"] if "size" in inputs else KINDS[inputs["type"]].size
-    return {"db": inputs["db"], "start": inputs["start"], "size": size}
-
-
-def was_read(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the controller was asked for the bytes that a call reads."""
-    return oracle.read_from_device(entries, **bytes_of(asked))
-
-
-def one_write(entries: Entries, image: Image, asked: Asked) -> list[Finding]:
-    """Expect that the controller saw the one write of a call."""
-    inputs = asked.inputs
-    written = content_of(inputs["type"], inputs["value"])
-    return oracle.exactly_one_write(entries, db=inputs["db"], start=inputs["start"], written=written)
-
-
-TASKS = further.Further("s7", witness=oracle.WITNESS, was_read=was_read, one_write=one_write)
+TASKS = further.Further("s7", witness=oracle.WITNESS, was_read=calls.was_read, one_write=calls.one_write)
 
 further.ping(TASKS, "K1", "Ping the adapter and confirm that the controller answers.")
 
@@ -64,6 +43,7 @@ further.reads(
     "Read a block of three REAL, a DINT and a REAL from a data block.",
     needs="read_db",
     make=sensor_block,
+    asked="Read twenty bytes of the plant's data block, whose values were set at random just before.",
 )
 
 VERIFIED, FIRST = value_at(32), value_at(0)
@@ -82,6 +62,7 @@ further.reads_back(
     needs="write_db read_typed",
     write=between_guards,
     read=VERIFIED.read_again,
+    seen="One write of one variable of two bytes, the more significant first; every other byte stays as it was.",
 )
 
 further.guard(
@@ -91,6 +72,7 @@ further.guard(
     needs="write_db read_typed",
     write=lambda run: FIRST.write(999),
     read=lambda run: FIRST.reads(),
+    seen="No write, control, stop, download or set clock; {device} holds what it held.",
 )
 
 
@@ -189,8 +171,9 @@ further.there(
         needs="read_typed",
         key="missing_db",
         make=lambda missing: value_at(0, db=missing).reads(),
-        reached=lambda entries, image, asked: oracle.reached(entries, **bytes_of(asked)),
+        reached=calls.reached,
         refused=partial(oracle.refused_with, code=OBJECT_DOES_NOT_EXIST),
+        seen="The read, which {device} refuses with the return code 0A.",
     ),
     read=lambda run: value_at(40).any(run.rng),
     beyond=value_at(BLOCK_SIZE - 2, "DINT").reads(),
@@ -203,6 +186,7 @@ further.overflow(
     needs="write_db",
     make=lambda run: FIRST.writes(70000),
     fits=lambda run, at: FIRST.write(32767),
+    why="70000 cut down to 16 bits is 4464, a value that nobody asked for.",
 )
 
 further.refused_by_itself(
@@ -211,6 +195,7 @@ further.refused_by_itself(
     "Write a text to a REAL and expect adapter rejection.",
     needs="write_db",
     make=lambda run: value_at(8, "REAL").writes("abc"),
+    why="Whatever four bytes a text becomes, they are a number that nobody asked for.",
 )
 
 

@@ -2,58 +2,37 @@
 
 from __future__ import annotations
 
+import random
 import re
 
-from ...protocols.bacnet import oracle
-from ...protocols.bacnet.entries import Target
-from ..experimenter import Experimenter
-from ..guess import Guess
+from ...protocols.bacnet import calls
+from ...protocols.bacnet.points import PRIORITY, VALVE, ZONE, setting, value_of
+from ..experiments import reading, writing
 from ..pack import Hints, Pack, plain
-from ..proposal import Proposal
 from ..status import reach
 
 __all__ = ["PACK"]
 
-_DEVICE = 12345
-_INPUT: Target = ("analog-input", 1)
-_OUTPUT: Target = ("analog-output", 1)
-_MISSING: Target = ("analog-input", 77)
-_PRIORITY = 8
 _VALUES = range(2000, 20000)
 """Present values in halves, which a REAL holds exactly, and which cannot be mistaken for an instance, a priority or a default."""
+_ZONE, _VALVE = value_of(ZONE), value_of(VALVE)
 
 _DIRECTLY = re.compile(r"^(address|direct|object|device)$", re.IGNORECASE)
 """Names of the way in which a tool is told an object by type and instance, beside an alias."""
 
 
-async def _read(experimenter: Experimenter, guess: Guess) -> Proposal:
-    value = experimenter.random.choice(_VALUES) + 0.5
-    await experimenter.device.poke(object=f"{_INPUT[0]},{_INPUT[1]}", value=value)
-    shown = await experimenter.call(guess, {}, **_at(_INPUT))
-    proven = oracle.reached(shown.entries, _INPUT)
-    proposal = experimenter.propose(guess, shown, proven=proven)
-    experimenter.locate(proposal, "value", value)
-    if proven:
-        experimenter.provoke(proposal, "illegal_address", **_at(_MISSING))
-    return proposal
+def _half(rng: random.Random) -> float:
+    return rng.choice(_VALUES) + 0.5
 
 
-async def _write(experimenter: Experimenter, guess: Guess) -> Proposal:
-    value = experimenter.random.choice(_VALUES) + 0.5
-    shown = await experimenter.call(guess, {}, **_at(_OUTPUT), value=value, priority=_PRIORITY)
-    proven = not oracle.exactly_one_write(shown.entries, _OUTPUT, "real", value)
-    proposal = experimenter.propose(guess, shown, proven=proven)
-    if proven:
-        experimenter.locate_echo(proposal, "value", value)
-        experimenter.provoke(proposal, "not_writable", **_at(_INPUT), value=value, priority=_PRIORITY)
+_read = reading(lambda rng: _ZONE.read(_half(rng)), calls.reached, missing=value_of(("analog-input", 77)).reads())
+_write = writing(
+    lambda rng: _VALVE.write(_half(rng)),
+    calls.one_write,
+    refused=("not_writable", _ZONE.writes(2000.5)),
     # A command is given back, or the object would stay overridden for the experiments that follow.
-    await experimenter.device.poke(object=f"{_OUTPUT[0]},{_OUTPUT[1]}", value=None, priority=_PRIORITY)
-    return proposal
-
-
-def _at(target: Target) -> dict[str, object]:
-    """Return the inputs that name an object."""
-    return {"device": _DEVICE, "type": target[0], "instance": target[1]}
+    after=setting(VALVE, None, PRIORITY),
+)
 
 
 PACK = Pack(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import random
 import re
-from collections.abc import Sequence
 
-from ...protocols.dnp3 import oracle
+from ...protocols.dnp3 import calls
+from ...protocols.dnp3.points import analog, latch, several
+from ...protocols.exercise import Asked
 from ..experimenter import Experimenter
+from ..experiments import reading
 from ..guess import Guess
 from ..pack import Hints, Pack, plain
 from ..proposal import Proposal
@@ -14,10 +17,8 @@ from ..status import reach
 
 __all__ = ["PACK"]
 
-_OUTSTATION = 10
-_ANALOG, _ANALOGS = 1, 4
-_BINARY, _BINARIES = 8, 8
-"""The first of several inputs, and how many there are; none of them makes events."""
+_ANALOG, _BINARY = several("analog", 1, 4), several("binary", 8, 8)
+"""Inputs that make no events."""
 _OUTPUT = 2
 _MISSING = 99
 _VALUES = range(2000, 2**31)
@@ -28,50 +29,32 @@ _DIRECTLY = re.compile(r"^(address|direct|index|point)$", re.IGNORECASE)
 """Names of the way in which a tool is told a point by outstation and index, beside an alias."""
 
 
-async def _read_analog(experimenter: Experimenter, guess: Guess) -> Proposal:
-    values = [experimenter.random.choice(_VALUES) for _ in range(_ANALOGS)]
-    proposal = await _read(experimenter, guess, "analog_input", _ANALOG, values)
-    if proposal.proven:
-        experimenter.provoke(proposal, "illegal_address", **_at(_MISSING, 1))
-    return proposal
-
-
-async def _read_binary(experimenter: Experimenter, guess: Guess) -> Proposal:
+def _states(rng: random.Random) -> Asked:
     # Neither all on nor all off, as other lists of true and false in an answer may be.
-    number = experimenter.random.randrange(1, 2**_BINARIES - 1)
-    states = [bool(number >> place & 1) for place in range(_BINARIES)]
-    return await _read(experimenter, guess, "binary_input", _BINARY, states)
+    number = rng.randrange(1, 2**8 - 1)
+    return _BINARY.read([bool(number >> place & 1) for place in range(8)])
 
 
-async def _read(experimenter: Experimenter, guess: Guess, kind: str, first: int, values: Sequence[int]) -> Proposal:
-    for index, value in enumerate(values, first):
-        await experimenter.device.poke(point=oracle.point(kind, index), value=value)
-    shown = await experimenter.call(guess, {}, **_at(first, len(values)))
-    proven = oracle.reached(shown.entries, kind, first, len(values))
-    proposal = experimenter.propose(guess, shown, proven=proven)
-    experimenter.locate(proposal, "values", [*values])
-    if proven:
-        experimenter.locate_echo(proposal, "flags", [_ON_LINE] * len(values))
-    return proposal
+_read_analog = reading(
+    lambda rng: _ANALOG.read([rng.choice(_VALUES) for _ in range(4)]),
+    calls.reached,
+    echoes={"flags": [_ON_LINE] * 4},
+    missing=analog(_MISSING).reads(),
+)
+_read_binary = reading(_states, calls.reached, echoes={"flags": [_ON_LINE] * 8})
 
 
 async def _write_binary(experimenter: Experimenter, guess: Guess) -> Proposal:
-    on = await experimenter.call(guess, {}, outstation=_OUTSTATION, index=_OUTPUT, value=True)
-    off = await experimenter.call(guess, {}, outstation=_OUTSTATION, index=_OUTPUT, value=False)
+    commands = [latch(_OUTPUT).write(value) for value in (True, False)]
+    on, off = [await experimenter.call(guess, {}, **asked.inputs) for asked in commands]
     proven = not any(
-        oracle.exactly_one_operation(shown.entries, "binary", _OUTPUT, value)
-        for shown, value in ((on, True), (off, False))
+        calls.one_write(shown.entries, {}, asked) for shown, asked in zip((on, off), commands, strict=True)
     )
     proposal = experimenter.propose(guess, on, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "value", True, also=(off, False))
-        experimenter.provoke(proposal, "illegal_address", outstation=_OUTSTATION, index=_MISSING, value=True)
+        experimenter.provoke(proposal, "illegal_address", **latch(_MISSING).writes(True).inputs)
     return proposal
-
-
-def _at(start: int, count: int) -> dict[str, object]:
-    """Return the inputs that name points."""
-    return {"outstation": _OUTSTATION, "start": start, "count": count}
 
 
 PACK = Pack(

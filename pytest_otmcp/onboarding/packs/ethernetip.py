@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
-from ...protocols.ethernetip import oracle
+from ...protocols.ethernetip import calls
+from ...protocols.ethernetip.points import ARRAY, ELEMENT, TARGET, array, tag
 from ..evidence import beyond
 from ..experimenter import Experimenter
+from ..experiments import reading, writing
 from ..guess import Guess
 from ..pack import Hints, Pack, plain
 from ..proposal import Proposal
@@ -14,9 +17,7 @@ from ..status import reach
 
 __all__ = ["PACK"]
 
-_TAG, _TYPE = "BatchTarget", "DINT"
-_ARRAY, _ELEMENT_TYPE, _ELEMENTS = "Counts", "INT", 4
-_MISSING = "NoSuchTag"
+_ARRAY = array(0, 4)
 _VALUES, _ELEMENT_VALUES = range(2000, 2**31), range(2000, 2**15)
 """Values that cannot be mistaken for a number of elements or a default."""
 
@@ -24,43 +25,27 @@ _SINGLE = re.compile(r"^(tag|single|one)$", re.IGNORECASE)
 """Names of the way in which a tool is told one tag by its name, beside an alias and a list."""
 
 
-async def _read_tag(experimenter: Experimenter, guess: Guess) -> Proposal:
-    value = experimenter.random.choice(_VALUES)
-    await experimenter.device.poke(tag=_TAG, value=value)
-    shown = await experimenter.call(guess, {}, tag=_TAG)
-    proven = oracle.reached(shown.entries, await experimenter.device.image(), [_TAG])
-    proposal = experimenter.propose(guess, shown, proven=proven)
-    experimenter.locate(proposal, "value", value)
-    if proven:
-        experimenter.locate_echo(proposal, "data_type", _TYPE)
-        experimenter.provoke(proposal, "illegal_address", tag=_MISSING)
-    return proposal
-
-
 async def _read_array(experimenter: Experimenter, guess: Guess) -> Proposal:
-    values = [experimenter.random.choice(_ELEMENT_VALUES) for _ in range(_ELEMENTS)]
-    tags = [f"{_ARRAY}[{index}]" for index in range(_ELEMENTS)]
-    for tag, value in zip(tags, values, strict=True):
-        await experimenter.device.poke(tag=tag, value=value)
-    shown = await experimenter.call(guess, {}, tag=tags[0], count=len(tags))
-    proven = oracle.reached(shown.entries, await experimenter.device.image(), tags)
-    proposal = experimenter.propose(guess, shown, proven=proven)
+    asked = _ARRAY.read([experimenter.random.choice(_ELEMENT_VALUES) for _ in range(4)])
+    proposal = await reading(lambda rng: replace(asked, outputs={}), calls.reached)(experimenter, guess)
     # Of one element a tool may give the value itself in the place of a list.
-    alone = await experimenter.call(guess, {}, tag=tags[0], count=1)
+    alone = await experimenter.call(guess, {}, **array(0, 1).reads().inputs)
+    values = asked.outputs["values"]
     experimenter.locate(proposal, "values", values, also=(alone, values[:1]))
     return proposal
 
 
-async def _write_tag(experimenter: Experimenter, guess: Guess) -> Proposal:
-    value = experimenter.random.choice(_VALUES)
-    shown = await experimenter.call(guess, {}, tag=_TAG, value=value, type=_TYPE)
-    image = await experimenter.device.image()
-    proven = not oracle.exactly_one_write(shown.entries, image, _TAG, _TYPE, value)
-    proposal = experimenter.propose(guess, shown, proven=proven)
-    if proven:
-        experimenter.locate_echo(proposal, "value", value)
-        experimenter.provoke(proposal, "range_overflow", tag=f"{_ARRAY}[0]", value=70000, type=_ELEMENT_TYPE)
-    return proposal
+_read_tag = reading(
+    lambda rng: TARGET.read(rng.choice(_VALUES)),
+    calls.reached,
+    echoes={"data_type": "DINT"},
+    missing=tag("NoSuchTag").reads(),
+)
+_write_tag = writing(
+    lambda rng: TARGET.write(rng.choice(_VALUES)),
+    calls.one_write,
+    refused=("range_overflow", tag(f"{ARRAY}[0]", ELEMENT).writes(70000)),
+)
 
 
 PACK = Pack(

@@ -4,42 +4,25 @@ from __future__ import annotations
 
 import re
 
-from ...protocols.profibus import oracle
-from ..experimenter import Experimenter
-from ..guess import Guess
+from ...protocols.profibus import calls
+from ...protocols.profibus.points import DRIVE, VALVES, bytes_of, inputs_of, outputs_of
+from ..experiments import reading, writing
 from ..pack import Hints, Pack, plain
-from ..proposal import Proposal
 from ..status import reach
 
 __all__ = ["PACK"]
 
-_DRIVE, _DRIVE_INPUTS = 8, 8
-_VALVES, _VALVE_OUTPUTS = 5, 2
-"""Addresses of slaves, and how many bytes of inputs or outputs each has."""
+_INPUTS, _OUTPUTS = inputs_of(DRIVE), outputs_of(VALVES)
 
 _DIRECTLY = re.compile(r"^(address|direct|slave|station)$", re.IGNORECASE)
 """Names of the way in which a tool is told a slave by its address, beside an alias."""
 
-
-async def _read_inputs(experimenter: Experimenter, guess: Guess) -> Proposal:
-    content = experimenter.random.randbytes(_DRIVE_INPUTS)
-    await experimenter.device.poke(station=_DRIVE, inputs=content.hex())
-    shown = await experimenter.call(guess, {}, slave=_DRIVE)
-    proven = not oracle.inputs_were_read(shown.entries, station=_DRIVE)
-    proposal = experimenter.propose(guess, shown, proven=proven)
-    experimenter.locate(proposal, "values", list(content))
-    return proposal
-
-
-async def _write_outputs(experimenter: Experimenter, guess: Guess) -> Proposal:
-    content = bytes(experimenter.random.randrange(1, 0x100) for _ in range(_VALVE_OUTPUTS))
-    shown = await experimenter.call(guess, {}, slave=_VALVES, data=list(content))
-    proven = not oracle.exactly_one_write(shown.entries, station=_VALVES, outputs=content)
-    proposal = experimenter.propose(guess, shown, proven=proven)
-    if proven:
-        experimenter.locate_echo(proposal, "values", list(content))
-        experimenter.provoke(proposal, "limit_exceeded", slave=_VALVES, data=[1] * (_VALVE_OUTPUTS + 1))
-    return proposal
+_read_inputs = reading(lambda rng: _INPUTS.read(list(rng.randbytes(8))), calls.reached)
+_write_outputs = writing(
+    lambda rng: _OUTPUTS.write(bytes_of(rng, VALVES)),
+    calls.one_write,
+    refused=("limit_exceeded", _OUTPUTS.writes([1, 1, 1])),
+)
 
 
 PACK = Pack(

@@ -4,57 +4,27 @@ from __future__ import annotations
 
 import re
 
-from ...protocols.s7 import oracle
+from ...protocols.s7 import calls
+from ...protocols.s7.points import of_bytes, value_at
 from ..evidence import beyond
-from ..experimenter import Experimenter
-from ..guess import Guess
+from ..experiments import reading, writing
 from ..pack import Hints, Pack, plain
-from ..proposal import Proposal
 from ..status import reach
 
 __all__ = ["PACK"]
 
-_BLOCK, _MISSING_BLOCK = 10, 99
-_PLACE = 44
 _VALUES = range(2000, 0x8000)
 """Values that cannot be mistaken for an offset, a size or a default."""
+_BYTES, _INT = of_bytes(44, 6), value_at(44)
 
 _BLOCKS = re.compile(r"^(db|data_?blocks?)$", re.IGNORECASE)
 """Names of the area of the data blocks, where a tool has several."""
 
-
-async def _read_db(experimenter: Experimenter, guess: Guess) -> Proposal:
-    content = experimenter.random.randbytes(6)
-    await experimenter.device.poke(area=f"DB{_BLOCK}", byte=_PLACE, data=content.hex())
-    shown = await experimenter.call(guess, {}, db=_BLOCK, start=_PLACE, size=len(content))
-    proven = oracle.reached(shown.entries, db=_BLOCK, start=_PLACE, size=len(content))
-    proposal = experimenter.propose(guess, shown, proven=proven)
-    experimenter.locate(proposal, "values", list(content))
-    return proposal
-
-
-async def _read_typed(experimenter: Experimenter, guess: Guess) -> Proposal:
-    value = experimenter.random.choice(_VALUES)
-    await experimenter.device.poke(area=f"DB{_BLOCK}", byte=_PLACE, data=value.to_bytes(2, "big").hex())
-    shown = await experimenter.call(guess, {}, db=_BLOCK, start=_PLACE, type="INT")
-    proven = oracle.reached(shown.entries, db=_BLOCK, start=_PLACE, size=2)
-    proposal = experimenter.propose(guess, shown, proven=proven)
-    experimenter.locate(proposal, "value", value)
-    if proven:
-        experimenter.provoke(proposal, "illegal_address", db=_MISSING_BLOCK, start=0, type="INT")
-    return proposal
-
-
-async def _write_db(experimenter: Experimenter, guess: Guess) -> Proposal:
-    value = experimenter.random.choice(_VALUES)
-    shown = await experimenter.call(guess, {}, db=_BLOCK, start=_PLACE, type="INT", value=value)
-    written = value.to_bytes(2, "big")
-    proven = not oracle.exactly_one_write(shown.entries, db=_BLOCK, start=_PLACE, written=written)
-    proposal = experimenter.propose(guess, shown, proven=proven)
-    if proven:
-        experimenter.locate_echo(proposal, "value", value)
-        experimenter.provoke(proposal, "range_overflow", db=_BLOCK, start=_PLACE, type="INT", value=70000)
-    return proposal
+_read_db = reading(lambda rng: _BYTES.read(list(rng.randbytes(6))), calls.reached)
+_read_typed = reading(lambda rng: _INT.read(rng.choice(_VALUES)), calls.reached, missing=value_at(0, db=99).reads())
+_write_db = writing(
+    lambda rng: _INT.write(rng.choice(_VALUES)), calls.one_write, refused=("range_overflow", _INT.writes(70000))
+)
 
 
 PACK = Pack(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import random
 import zlib
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 from ...core.strict_json import same_json
 from ..exercise import Asked, Contended, DeviceText, Exercise, Limited, every_change
 from ..journal import JournalEntry
 from ..oracle import has
+from ..point import BOOL, FLOAT64, Point
+from ..proof import Call
 from .entries import as_opcua
 
 __all__ = ["EXERCISE"]
@@ -20,68 +21,50 @@ _READ, _WRITTEN = "Temperature", "ValvePosition"
 _NODES = (_READ, "Pressure", "FlowRate", "TankLevel", "Vibration", "PhLevel", "Humidity", "MotorSpeed")
 
 
-def _read(rng: random.Random) -> Asked:
-    value = round(rng.uniform(-50.0, 150.0), 6)
-    return Asked(
-        operation="read",
-        inputs={"node": f"ns=2;s={_READ}"},
-        outputs={"value": value},
-        pokes=({"node": _READ, "value": value},),
+def _node(name: str) -> Point:
+    """Return the value of a variable."""
+    node = f"ns=2;s={name}"
+    return Point(
+        kind=BOOL if name == "PumpEnabled" else FLOAT64,
+        reading=Call("read", {"node": node}),
+        writing=Call("write", {"node": node}),
+        pokes=lambda value: ({"node": name, "value": value},),
+        held=lambda value: {node: value},
+        condition={"node": node},
     )
 
 
-def _write(rng: random.Random) -> Asked:
-    value = round(rng.uniform(1.0, 99.0), 3)
-    node = f"ns=2;s={_WRITTEN}"
-    return Asked(
-        operation="write", inputs={"node": node, "value": value}, outputs={"value": value}, points={node: value}
-    )
+_VALVE, _FAN, _HEATER, _PUMP = map(_node, (_WRITTEN, "FanSpeed", "HeaterPower", "PumpEnabled"))
+
+
+def _percent(rng: random.Random, digits: int = 3) -> float:
+    return round(rng.uniform(1.0, 99.0), digits)
+
+
+def _any(rng: random.Random) -> float:
+    return round(rng.uniform(-50.0, 150.0), 6)
+
+
+def _batch(*writes: Asked, pokes: tuple[Mapping[str, object], ...] = ()) -> Asked:
+    """Return one call for several writes."""
+    items = [{"node_id": one.inputs["node"], "value": one.inputs["value"]} for one in writes]
+    points = {node: value for one in writes for node, value in one.points.items()}
+    return Asked(operation="write_many", inputs={"items": items}, pokes=pokes, points=points)
 
 
 def _distinct(rng: random.Random, count: int) -> tuple[Asked, ...]:
-    values = {name: round(rng.uniform(-50.0, 150.0), 6) for name in _NODES}
-    names = [_NODES[index % len(_NODES)] for index in range(count)]
-    return tuple(
-        Asked(
-            operation="read",
-            inputs={"node": f"ns=2;s={name}"},
-            outputs={"value": values[name]},
-            pokes=({"node": name, "value": values[name]},),
-            condition={"node": f"ns=2;s={name}"},
-        )
-        for name in names
-    )
+    known = [_node(name).read(_any(rng)) for name in _NODES]
+    return tuple(known[index % len(known)] for index in range(count))
 
 
 def _every_write(rng: random.Random) -> tuple[Asked, ...]:
-    value, other = (round(rng.uniform(1.0, 99.0), 3) for _ in range(2))
-    valve, pump = f"ns=2;s={_WRITTEN}", "ns=2;s=PumpEnabled"
-    off = ({"node": "PumpEnabled", "value": False},)
-    return (
-        Asked(operation="write", inputs={"node": valve, "value": value}, points={valve: value}),
-        Asked(operation="write", inputs={"node": pump, "value": True}, pokes=off, points={pump: True}),
-        Asked(
-            operation="write_many",
-            inputs={"items": [{"node_id": valve, "value": other}, {"node_id": pump, "value": True}]},
-            pokes=off,
-            points={valve: other, pump: True},
-        ),
-    )
+    value, other = _percent(rng), _percent(rng)
+    pump = _PUMP.write(True, before=False)
+    return _VALVE.write(value), pump, _batch(_VALVE.write(other), pump, pokes=pump.pokes)
 
 
 def _contended(rng: random.Random) -> Contended:
-    old, *new = (round(rng.uniform(1.0, 99.0), 6) for _ in range(3))
-    node = "ns=2;s=FanSpeed"
-    return Contended(
-        old=old,
-        new=tuple(new),
-        pokes=({"node": "FanSpeed", "value": old},),
-        read=Asked(operation="read", inputs={"node": node}),
-        output="value",
-        writes=tuple(
-            Asked(operation="write", inputs={"node": node, "value": value}, points={node: value}) for value in new
-        ),
-    )
+    return _FAN.contended(*(_percent(rng, 6) for _ in range(3)))
 
 
 def _asks_for(entry: JournalEntry) -> object:
@@ -90,31 +73,14 @@ def _asks_for(entry: JournalEntry) -> object:
 
 
 def _fenced(rng: random.Random) -> tuple[Asked, ...]:
-    valve, fan, pump = (f"ns=2;s={name}" for name in (_WRITTEN, "FanSpeed", "PumpEnabled"))
-    number = round(rng.uniform(1.0, 99.0), 3)
-    batches = ([(valve, number), (pump, True)], [(pump, True), (valve, number)], [(valve, number + 0.5)])
-    return (
-        Asked(operation="write", inputs={"node": valve, "value": number}, points={valve: number}),
-        Asked(operation="write", inputs={"node": pump, "value": True}, points={pump: True}),
-        Asked(operation="write", inputs={"node": fan, "value": number}, points={fan: number}),
-        *(
-            Asked(
-                operation="write_many",
-                inputs={"items": [{"node_id": node, "value": value} for node, value in items]},
-                points=dict(items),
-            )
-            for items in batches
-        ),
-    )
+    number = _percent(rng)
+    valve, pump = _VALVE.write(number), _PUMP.write(True)
+    batches = _batch(valve, pump), _batch(pump, valve), _batch(_VALVE.write(number + 0.5))
+    return valve, pump, _FAN.write(number), *batches
 
 
-def _one(node: str, value: float) -> Asked:
-    return Asked(operation="write", inputs={"node": node, "value": value}, points={node: value})
-
-
-def _in_a_batch(node: str, value: float) -> Asked:
-    items = [{"node_id": node, "value": value}]
-    return Asked(operation="write_many", inputs={"items": items}, points={node: value})
+def _limits(point: Point) -> Limited:
+    return Limited(ways=(point.write, lambda value: _batch(point.write(value))), unit=0.5)
 
 
 def _device_texts(name: str) -> tuple[DeviceText, ...]:
@@ -185,9 +151,9 @@ EXERCISE = Exercise(
     recognised={"write": _is_asked_for},
     changing=tuple({"service": service} for service in ("Write", "Call")),
     reading="read",
-    read=_read,
+    read=lambda rng: _node(_READ).read(_any(rng)),
     writing="write",
-    write=_write,
+    write=lambda rng: _VALVE.write(_percent(rng)),
     number="value",
     bounded=(),
     done=every_change,
@@ -202,8 +168,8 @@ EXERCISE = Exercise(
     contended=_contended,
     fenced=_fenced,
     limited={
-        node: Limited(ways=(partial(_one, node), partial(_in_a_batch, node)), unit=0.5)
-        for node in ("ns=2;s=HeaterPower", "ns=2;s=FanSpeed")
+        "ns=2;s=HeaterPower": _limits(_HEATER),
+        "ns=2;s=FanSpeed": _limits(_FAN),
     },
     asks_for=_asks_for,
     device_texts=_device_texts,
