@@ -92,10 +92,6 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
             MalformedError: it is none; the connection is ended.
         """
 
-    def record(self, direction: Direction, kind: str, **fields: Any) -> int:
-        """Record an event of this connection that is no frame; return the number of the record."""
-        return self.device.journal.event(connection=self.number, direction=direction, kind=kind, **fields)
-
     def received(self, raw: bytes, rule: FaultRule | None = None, **said: Any) -> int:
         """Record a frame that came in; return the number of the record.
 
@@ -120,7 +116,7 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
     def connection_lost(self, exc: Exception | None) -> None:
         if self._buffer:
             self._malformed("the connection ended inside a frame")
-        self.record("in", "DISCONNECTED")
+        self._event("in", "DISCONNECTED")
 
     def pause_writing(self) -> None:
         # No more requests are read from a client that does not read its answers: the answers must not accumulate.
@@ -145,8 +141,11 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
             del self._buffer[:length]
 
     def _malformed(self, reason: str) -> None:
-        self.record("in", "malformed", bytes=bytes(self._buffer[:_MOST_SHOWN]).hex(), reason=reason)
+        self._event("in", "malformed", bytes=bytes(self._buffer[:_MOST_SHOWN]).hex(), reason=reason)
         self._buffer.clear()
+
+    def _event(self, direction: Direction, kind: str, **fields: Any) -> None:
+        self.device.journal.event(connection=self.number, direction=direction, kind=kind, **fields)
 
     # -- what goes out --------------------------------------------------------------------------------------------
 
@@ -203,7 +202,7 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
         elif rule.garbage:
             # The entry answers no request: no client can tell which request the bytes are for.
             if self.carries():
-                self.record("out", "garbage", bytes=self.garbage.hex())
+                self._event("out", "garbage", bytes=self.garbage.hex())
                 self.transport.write(self.garbage)
         elif rule.delay_s:
             asyncio.get_running_loop().call_later(rule.delay_s, send)

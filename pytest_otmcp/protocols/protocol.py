@@ -188,7 +188,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Framing:
-    """The functions that turn recorded bytes into journal entries, so that the tap can be the witness.
+    """The functions that turn recorded frames into journal entries, those of a mock as those of a tap.
 
     Attributes:
         conversation: makes the decoder of one connection.
@@ -283,7 +283,7 @@ class OtProtocol:
         declares: returns what a named command adds to these lists, from the operation that it performs and the texts of its effect, with
             ``+`` in the place of each level, between slashes, that an argument has a part in.
         covers: tells whether a call with one value of an input, of this name, is about all that another one with another value is about.
-        framing: decoding of recorded bytes; None when only the mock can be the witness.
+        framing: decoding of recorded frames; None where the mock says itself what each message is, and no tap can be the witness.
         unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
             asked for nothing.
         changes: returns the requests among entries that may change the plant, each once: what a client of the protocol delivers

@@ -710,7 +710,7 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         lambda run: service(run, "O3", "Write").update(kind="Read", state_changing=False),
     ),
     "a write of a node that has become a read": (
-        "of the journal of opcua is called 'Write' and answers the entry",
+        "of the journal of opcua says kind 'Read', its message says 'Write'",
         a_write_that_is_a_read,
     ),
     "a read of a node that is called a write": (
@@ -730,8 +730,20 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         lambda run: service(run, "O1", "Read").update(results=[{"status": "Good"}]),
     ),
     "an answer of another service": (
-        "of the journal of opcua is called 'Browse' and answers the entry",
+        "of the journal of opcua says kind 'Browse', its message says 'Read'",
         lambda run: service(run, "O1", "Read", "out").update(kind="Browse"),
+    ),
+    "another value of a node": (
+        "of the journal of opcua says nodes [{",
+        lambda run: service(run, "O3", "Write")["nodes"][0].update(value=0.25),
+    ),
+    "another node of a read": (
+        "of the journal of opcua says nodes [{",
+        lambda run: service(run, "O1", "Read")["nodes"][0].update(node_id="ns=2;s=Flow"),
+    ),
+    "another status of a write": (
+        "of the journal of opcua says results [{'status': 'Good",
+        lambda run: service(run, "O3", "Write", "out")["results"][0].update(status="GoodClamped"),
     ),
     "entries of a device that was not there": (
         "M1: task has journal entries of a device that the item did not have",

@@ -58,8 +58,8 @@ def contradiction(entry: JournalEntry) -> str | None:
         shown = {"request": asks and kind not in SESSION_KEEPING, "state_changing": asks and kind in STATE_CHANGING}
     else:
         return f"is of the kind {kind!r}, which is no service"
-    found = difference(dict(entry), shown, f"kind {kind!r}") or _of_chunks(entry)
-    return found or _unwanted(entry) or _wrong_node(entry)
+    found = difference(dict(entry), shown, f"kind {kind!r}")
+    return found or _unwanted(entry) or _wrong_node(entry) or _of_chunks(entry)
 
 
 def _of_chunks(entry: JournalEntry) -> str | None:

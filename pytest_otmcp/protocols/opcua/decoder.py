@@ -24,6 +24,7 @@ _POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
 SERVICES = {
     422: "FindServers",
     428: "GetEndpoints",
+    437: "RegisterServer",
     446: "OpenSecureChannel",
     452: "CloseSecureChannel",
     461: "CreateSession",
@@ -37,7 +38,6 @@ SERVICES = {
     527: "Browse",
     533: "BrowseNext",
     554: "TranslateBrowsePaths",
-    437: "RegisterServer",
     560: "RegisterNodes",
     566: "UnregisterNodes",
     615: "QueryFirst",

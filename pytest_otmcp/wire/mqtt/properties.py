@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 from .primitives import ProtocolViolation, Reader, binary, string, uint16, uint32, varint
 
@@ -70,7 +71,8 @@ class Place(IntEnum):
     AUTH = 15
 
 
-class _Type(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Type:
     read: Callable[[Reader], Any]
     write: Callable[[Any], bytes]
 
