@@ -1,6 +1,6 @@
-"""The core of every adapter, without protocol: settings, envelope, errors, strict arguments, guard, deadline, run.
+"""The core of every adapter, without protocol: settings, envelope, errors, strict arguments, guard, deadline, link, run.
 
-An adapter is a sub-package with two modules to begin with. ``tools`` holds a class with one method per tool::
+An adapter is a sub-package with three modules to begin with. ``tools`` holds a class with one method per tool::
 
     class Cell(Arguments):
         address: Annotated[int, Field(ge=0, le=65535, description="PDU address, from 0")]
@@ -30,12 +30,29 @@ An adapter is a sub-package with two modules to begin with. ``tools`` holds a cl
             await self._link.write(call, arguments.address, arguments.value)
             return {"address": arguments.address, "value": arguments.value}
 
+``link`` holds the connection, a :class:`DeviceLink`. What it says of its library is how a connection is opened, whether it can be used and
+how it ends; the core connects, explains outages, and decides what is repeated: no write is sent twice::
+
+    class Link(DeviceLink[Connection]):
+        async def read(self, call: Call, address: int) -> int:
+            return await self.perform(call, lambda connection: connection.read(call, address))
+
+        async def _open(self) -> Connection:
+            return await Connection.to(self._host, self._port)
+
+        def _is_usable(self, connection: Connection) -> bool:
+            return not connection.lost
+
+        def _end(self, connection: Connection) -> None:
+            connection.close()
+
 ``adapter`` reads the settings and puts the server together; ``python -m pytest_otmcp.reference_adapters NAME`` runs the
 ``build`` of the sub-package of that name::
 
     def build() -> AdapterServer:
         environment = Environment()
-        link = Link(environment.text("MODBUS_HOST"), environment.whole("MODBUS_PORT", 502, 1, 65535))
+        port = environment.whole("MODBUS_PORT", 502, 1, 65535)
+        link = Link(environment.text("MODBUS_HOST"), port, environment.seconds("MODBUS_TIMEOUT_S", 1.0))
         server = AdapterServer(
             name="modbus-reference",
             version="0.1.0",
@@ -53,10 +70,11 @@ A method's name, docstring and annotations become the tool's name, description a
 the order of their definition. The value that a method returns becomes ``data``. An :class:`AdapterError` that it raises
 becomes ``error``; any other exception becomes an ``internal_error``, with its traceback on stderr. A tool that changes the
 plant says ``writes=True``, and by :meth:`Call.changes` what it is about to change, so that ``OT_WRITE_ALLOW`` (a JSON list of targets) and
-``OT_WRITE_LIMITS`` (target to ``lowest``, ``highest``, ``step`` and ``every_s``) can forbid it, see ``bounds``. Every call has the same steps: the arguments are checked, then the write guard, then the
-method runs under the deadline.
+``OT_WRITE_LIMITS`` (target to ``lowest``, ``highest``, ``step`` and ``every_s``) can forbid it, see ``bounds``. Names that users give to
+places of the device are a :class:`NameMap`. Every call has the same steps: the arguments are checked, then the write guard, then the method
+runs under the deadline.
 
-The method reports to the :class:`Call` what only it can know: the connection it uses, each request that it sends, the
+The method and its link report to the :class:`Call` what only they can know: the connection they use, each request that they send, the
 answer. From these the envelope takes ``attempts``, ``source`` and, after a failure, whether a write may have happened.
 """
 

@@ -2,19 +2,7 @@
 
 Once the bytes of a write may have left, only the device knows whether it was executed. So no library reconnects or retries by itself here:
 :func:`repeat_once` alone decides, and it repeats what was lost before a write had left. An adapter's link says how its connection is
-opened, whether it can be used, and how it is ended::
-
-    class Link(DeviceLink[Connection]):
-        async def read(self, call: Call, address: int) -> int:
-            async def exchange(connection: Connection) -> int:
-                call.sending()
-                return await connection.read(address)
-
-            return await self.perform(call, exchange)
-
-        async def _open(self) -> Connection: ...
-        def _is_usable(self, connection: Connection) -> bool: ...
-        def _end(self, connection: Connection) -> None: ...
+opened, whether it can be used, and how it is ended; ``modbus/link`` is the one to read.
 """
 
 from __future__ import annotations

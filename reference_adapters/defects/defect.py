@@ -26,6 +26,7 @@ __all__ = [
     "number",
     "succeeding",
     "told",
+    "tools_of",
     "wrap",
 ]
 
@@ -112,6 +113,11 @@ def catalogue_id(identifier: str) -> str:
 def number(identifier: str) -> tuple[int, str]:
     """Return what ids are sorted by: the number of the defect, then the letter of the variant."""
     return int(catalogue_id(identifier).removeprefix("MU-")), identifier
+
+
+def tools_of(server: AdapterServer, name: str) -> Any:
+    """Return the object of which a tool is a method, as long as no defect is around the tool."""
+    return server._tools[name].handler.__self__
 
 
 def wrap(server: AdapterServer, name: str, handler: Callable[[Handler], Handler], **changes: Any) -> None:

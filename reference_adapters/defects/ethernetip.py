@@ -9,7 +9,7 @@ from typing import Any
 from ..core import AdapterServer, Call
 from .any_protocol import guard_after_sending
 from .areas.further import module_of
-from .defect import Data, Handler, around, defect, succeeding, told
+from .defect import Data, Handler, around, defect, succeeding, told, tools_of
 
 __all__ = ["DEFECTS"]
 
@@ -99,8 +99,7 @@ def _all_written(call: Call, arguments: Any) -> Data:
 
 
 def _link(server: AdapterServer) -> Any:
-    handler: Any = server._tools["ping"].handler
-    return handler.__self__._link
+    return tools_of(server, "ping")._link
 
 
 def connections_forgotten(server: AdapterServer) -> None:

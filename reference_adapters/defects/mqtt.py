@@ -10,7 +10,7 @@ from ..mqtt import connection, inbox
 from ..mqtt import link as mqtt_link
 from ..mqtt.connection import Message
 from .any_protocol import answers_twice_from_one_exchange
-from .defect import Change, Data, Handler, also, around, defect
+from .defect import Change, Data, Handler, also, around, defect, tools_of
 
 __all__ = ["DEFECTS", "link_of"]
 
@@ -21,7 +21,7 @@ _QUESTIONS = 5
 
 def link_of(server: AdapterServer) -> mqtt_link.Link:
     """Return the adapter's connection to the broker."""
-    link: mqtt_link.Link = server._tools[_PUBLISH].handler.__self__._link
+    link: mqtt_link.Link = tools_of(server, _PUBLISH)._link
     return link
 
 

@@ -12,7 +12,7 @@ from pydantic import create_model, field_validator
 from ..core import AdapterError, AdapterServer, Call
 from .any_protocol import guard_after_sending
 from .areas.further import module_of
-from .defect import Data, Handler, around, defect, failing, succeeding, wrap
+from .defect import Data, Handler, around, defect, failing, succeeding, tools_of, wrap
 
 __all__ = ["DEFECTS"]
 
@@ -23,8 +23,7 @@ _module = partial(module_of, "profibus")
 
 
 def _master(server: AdapterServer) -> Any:
-    tools: Any = server._tools[_WRITE].handler
-    return tools.__self__._master
+    return tools_of(server, _WRITE)._master
 
 
 def cut_off(server: AdapterServer) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 from ...core import AdapterServer, Call
 from ...modbus.shapes import WriteCoil, WriteRegister
 from ..any_protocol import guard_after_sending
-from ..defect import Change, Data, Defect, Handler, around, defect
+from ..defect import Change, Data, Defect, Handler, around, defect, tools_of
 from .err import retries_when_back
 from .wr import sent_again
 
@@ -57,7 +57,7 @@ def batch_by(*requests: str) -> Change:
     """Return the defect that a batch consists of these requests, ``litres`` and ``start``."""
 
     def apply(server: AdapterServer) -> None:
-        tools = server._tools[_BATCH].handler.__self__._tools
+        tools = tools_of(server, _BATCH)._tools
 
         @around(_BATCH)
         async def instead(genuine: Handler, call: Call, arguments: Any) -> Data:
@@ -74,7 +74,7 @@ def batch_by(*requests: str) -> Change:
 
 
 def kitchen_alone(server: AdapterServer) -> None:
-    tools = server._tools[_ALL].handler.__self__
+    tools = tools_of(server, _ALL)
 
     @around(_ALL)
     async def instead(genuine: Handler, call: Call, arguments: Any) -> Data:

@@ -10,7 +10,7 @@ from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
 from ...modbus.codec import decode
-from ..defect import Change, Data, Defect, Handler, around, defect
+from ..defect import Change, Data, Defect, Handler, around, defect, tools_of
 from ..life import address_of
 
 __all__ = ["DEFECTS", "Stream"]
@@ -91,7 +91,7 @@ def over_a_stream(name: str, function: int, **options: Any) -> Change:
 
 def late_answers(server: AdapterServer) -> None:
     """A read that has run out of time is still under way, and the next read is given its answer."""
-    link = server._tools["read_opcua_node"].handler.__self__._link
+    link = tools_of(server, "read_opcua_node")._link
     patience_s = link._timeout_s
     link._timeout_s = 3 * patience_s
     late: list[asyncio.Future[Data]] = []
@@ -110,7 +110,7 @@ def late_answers(server: AdapterServer) -> None:
 
 
 def torn_numbers(server: AdapterServer) -> None:
-    tools = server._tools[_READ_INPUT].handler.__self__
+    tools = tools_of(server, _READ_INPUT)
 
     @around("read_holding_typed")
     async def parted(genuine: Handler, call: Call, arguments: Any) -> Data:

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import create_model, field_validator
 
 from ...core import AdapterServer, Call
-from ..defect import Change, Data, Handler, around, wrap
+from ..defect import Change, Data, Handler, around, tools_of, wrap
 
 __all__ = [
     "altered",
@@ -140,7 +140,7 @@ def controls_always(tool: str) -> Change:
     """Return the defect that a tool's switch of its own is not looked at: writes that are enabled are enough."""
 
     def apply(server: AdapterServer) -> None:
-        server._tools[tool].handler.__self__._control_enabled = True
+        tools_of(server, tool)._control_enabled = True
 
     return apply
 

@@ -14,7 +14,7 @@ from ...core.tools import AdapterTool
 from ...opcua import status, tools, values
 from ...opcua.link import NodeFacts
 from ...opcua.services import Services
-from ..defect import Change, Data, Defect, Handler, around, defect, failing, told
+from ..defect import Change, Data, Defect, Handler, around, defect, failing, told, tools_of
 from ..opcua import writes_status_and_timestamp
 from ..refusals import bad_is_good, first_page
 
@@ -138,7 +138,7 @@ def circles(levels: int) -> Change:
     """Return the defect that an enumeration visits a node as often as it is found, so many levels deep."""
 
     def apply(server: AdapterServer) -> None:
-        perform = server._tools[_ALL].handler.__self__._perform
+        perform = tools_of(server, _ALL)._perform
         # The adapter gives up well before the kit does, also on a machine that is slow.
         server._deadline_s = 2.0
 

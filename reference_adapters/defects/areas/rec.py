@@ -11,7 +11,7 @@ from ...mqtt import link as mqtt_link
 from ...opcua import link as opcua_link
 from ...opcua.link import Link, Session
 from ..any_protocol import answers_from_memory_when_gone, never_reconnects
-from ..defect import Defect, defect, failing
+from ..defect import Defect, defect, failing, tools_of
 from ..mqtt import forgets_subscriptions
 from ..refusals import _end
 
@@ -19,7 +19,7 @@ __all__ = ["DEFECTS"]
 
 
 def sessions_left_behind(server: AdapterServer) -> None:
-    link: Link = server._tools["read_opcua_node"].handler.__self__._link
+    link: Link = tools_of(server, "read_opcua_node")._link
     left: list[Session] = []
 
     def forget(session: Session) -> None:

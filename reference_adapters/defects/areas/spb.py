@@ -18,7 +18,7 @@ from ...mqtt.edge_node import EdgeNode
 from ...mqtt.link import Link
 from ...mqtt.payload import Metric
 from ...mqtt.topics import NAMESPACE
-from ..defect import Data, Defect, Handler, around, defect, wrap
+from ..defect import Data, Defect, Handler, around, defect, tools_of, wrap
 from ..host_application import beside
 from ..mqtt import link_of
 from ..sparkplug import (
@@ -126,7 +126,7 @@ def rebirths_ignored(server: AdapterServer) -> None:
 
 
 def commands_not_subscribed(server: AdapterServer) -> None:
-    server._tools[_DATA].handler.__self__._commands.clear()
+    tools_of(server, _DATA)._commands.clear()
 
 
 def dies_before_it_is_born_again(server: AdapterServer) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
 from ...mqtt import link as mqtt_link
-from ..defect import Change, Data, Defect, Handler, around, defect, failing
+from ..defect import Change, Data, Defect, Handler, around, defect, failing, tools_of
 from .con import over_a_stream
 
 __all__ = ["DEFECTS"]
@@ -21,7 +21,7 @@ def patient(seconds: float, tool: str) -> Change:
 
     def apply(server: AdapterServer) -> None:
         server._deadline_s = seconds
-        owner = server._tools[tool].handler.__self__
+        owner = tools_of(server, tool)
         owner._link._timeout_s = seconds
 
     return apply
@@ -34,7 +34,7 @@ def patient_with_every_byte(server: AdapterServer) -> None:
 
 def nested_retries(server: AdapterServer) -> None:
     """Repeat a read in the library, which nobody counts, and in the adapter."""
-    link = server._tools[_READ].handler.__self__._link
+    link = tools_of(server, _READ)._link
     link._timeout_s = 0.3
     attempt = link._attempt
 

@@ -10,7 +10,7 @@ from ...core import AdapterError, AdapterServer, Call
 from ...modbus import link as modbus_link
 from ..any_protocol import enabled_by_any_word, enabled_by_default, guard_after_sending
 from ..bacnet import told_as_asked
-from ..defect import Change, Data, Defect, Handler, around, defect, succeeding, wrap
+from ..defect import Change, Data, Defect, Handler, around, defect, succeeding, tools_of, wrap
 from ..modbus import write_not_sent, write_only_remembered
 from ..mqtt import made_up_for
 
@@ -59,7 +59,7 @@ def sent_again(*codes: str, names: tuple[str, ...]) -> Change:
 
 def impatient_and_sent_again(server: AdapterServer) -> None:
     """Send a write again when its answer is late. The second try has the usual time: a busy machine must not let it fail, too."""
-    link = server._tools[_WRITE].handler.__self__._link
+    link = tools_of(server, _WRITE)._link
     usual = link._timeout_s
 
     @around(_WRITE)
@@ -97,7 +97,7 @@ def denied_after_sending(server: AdapterServer) -> None:
 
 def split_blocks(server: AdapterServer) -> None:
     """Take blocks of any length, and write them in parts."""
-    tools = server._tools[_BLOCK].handler.__self__
+    tools = tools_of(server, _BLOCK)
     anything = _without_bounds(server, _BLOCK)
 
     @around(_BLOCK, model=anything)
@@ -117,7 +117,7 @@ def _without_bounds(server: AdapterServer, name: str) -> Any:
 
 def too_long_a_block(server: AdapterServer) -> None:
     """Send the device a block that is longer than a request may be."""
-    tools = server._tools[_BLOCK].handler.__self__
+    tools = tools_of(server, _BLOCK)
 
     @around(_BLOCK, model=_without_bounds(server, _BLOCK))
     async def whole(genuine: Handler, call: Call, arguments: Any) -> Data:
@@ -160,7 +160,7 @@ def written_later(
 ) -> None:
     """Keep the writes that failed for want of a connection, and send them with the next read or so many seconds after it, to this address
     or to their own."""
-    tools = server._tools[_WRITE].handler.__self__
+    tools = tools_of(server, _WRITE)
     kept: list[Any] = []
     under_way: set[asyncio.Task[Any]] = set()
 
@@ -211,7 +211,7 @@ def unheeded(by: str, count: int) -> Change:
 
 
 def emulated_mask_write(server: AdapterServer) -> None:
-    tools = server._tools[_MASK].handler.__self__
+    tools = tools_of(server, _MASK)
 
     @around(_MASK)
     async def emulated(genuine: Handler, call: Call, arguments: Any) -> Data:
