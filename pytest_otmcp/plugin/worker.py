@@ -59,6 +59,7 @@ class Run:
         self.waiting: Callable[[Task, float, str], None] | None = None
         self.starting: Callable[[int, int, int], None] | None = None
         self.unfinished: ItemResult | None = None
+        self._declared_secrets = {secret for adapter in subject.adapters.values() for secret in adapter.secret_values()}
         self._facts: WorkerFacts = {"adapters": {}, "devices": {}, "spent": {}}
         self._loop: LoopThread | None = None
         self._plant: Plant | None = None
@@ -206,9 +207,8 @@ class Run:
     def _redactor(self) -> Redactor:
         from ..record.redaction import Redactor
 
-        declared = {secret for adapter in self.subject.adapters.values() for secret in adapter.secret_values()}
         # Of the random secrets only those need to be taken out that an adapter has told.
-        return Redactor(declared | (self._bench.told_secrets() if self._bench is not None else set()))
+        return Redactor(self._declared_secrets | (self._bench.told_secrets() if self._bench is not None else set()))
 
     def facts(self) -> WorkerFacts:
         """Return what the controller has to know about this process."""

@@ -56,4 +56,7 @@ def _changes(old: object, new: object, path: list[str | int]) -> Iterable[Change
             yield path, new
         return
     for step in steps:
-        yield from _changes(old[step], new[step], [*path, step])
+        # Most of an image is as it was: a call for each equal number would be most of what a repetition costs.
+        one, other = old[step], new[step]
+        if isinstance(one, dict | list) or one != other or type(one) is not type(other):
+            yield from _changes(one, other, [*path, step])

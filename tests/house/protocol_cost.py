@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from collections import Counter
 from pathlib import Path
@@ -22,8 +23,9 @@ _ALSO = {"mqtt": ("sparkplug",)}
 def cost(key: str) -> Counter[str]:
     """Return the lines of a protocol by room."""
     names = (key, *_ALSO.get(key, ()))
+    git = shutil.which("git") or "git"
     listed = subprocess.run(
-        ["git", "ls-files", "*.py", "*.toml"], cwd=_CHECKOUT, check=True, capture_output=True, text=True
+        [git, "ls-files", "*.py", "*.toml"], cwd=_CHECKOUT, check=True, capture_output=True, text=True
     )
     lines: Counter[str] = Counter()
     for name in listed.stdout.splitlines():
