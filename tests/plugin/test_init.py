@@ -223,6 +223,25 @@ def test_an_adapter_that_needs_a_new_session_after_an_outage_is_described_so(pro
     assert adapter.recovery == "new_session"
 
 
+# A value that does not fit leaves it unable to answer anything in that session, whether or not its device is there.
+HANGS = "import time\n" + PROSE.replace(
+    """def set_register(register: int, value: int) -> str:
+    \"\"\"Write a holding register.\"\"\"
+""",
+    """async def set_register(register: int, value: int) -> str:
+    \"\"\"Write a holding register.\"\"\"
+    while value > 65535:
+        time.sleep(1)
+""",
+)
+
+
+def test_what_a_bad_argument_did_to_a_session_is_not_taken_for_what_an_outage_does(proposed: Proposed) -> None:
+    told, adapter = proposed(HANGS, "modbus", "PLC")
+    assert "write_holding   set_register (proven" in told
+    assert adapter.recovery == "same_session"
+
+
 # A vocabulary of its own, and no tool that reads what the kit knows.
 LAMP = """
 import json, os
