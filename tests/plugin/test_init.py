@@ -530,6 +530,31 @@ def test_the_doctor_names_cause_and_remedy(otmcp: Otmcp) -> None:
     assert "Install it into an environment of its own with 'mcp<2'." in done.stdout
 
 
+def test_the_doctor_says_with_what_a_read_failed_that_reached_the_device(otmcp: Otmcp, tmp_path: Path) -> None:
+    error = '{"code": -32602, "message": "Invalid tools/call result"}'
+    refusing = f'**({{"error": {error}}} if "content" in result else {{"result": result}})'
+    (tmp_path / "old.py").write_text(OLD.replace('"result": result', refusing), encoding="utf-8")
+    text = f'''
+[subject]
+name = "x"
+version = "1"
+[adapter.modbus]
+command = ["{sys.executable}", "old.py", "{{work}}/address"]
+files = {{ address = "{{host}} {{port}}" }}
+answer = "json"
+[adapter.modbus.bind.read_holding]
+tool = "read_holding_registers"
+arguments = {{ address = "$address", count = "$count" }}
+result = {{ values = "registers" }}
+'''
+    (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
+    done = otmcp("doctor")
+    assert done.returncode == 1
+    assert "the mock saw read_holding_registers(address=" in done.stdout
+    assert "which failed (" in done.stdout
+    assert "Invalid tools/call result" in done.stdout
+
+
 def test_the_doctor_compares_a_subject_file_with_the_tools(otmcp: Otmcp, tmp_path: Path) -> None:
     text = f'''
 [subject]
