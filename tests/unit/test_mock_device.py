@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import os
 import signal
 import socket
@@ -60,6 +61,42 @@ async def test_what_arrived_before_the_question_is_in_the_answer(
             os.kill(pid, signal.SIGCONT)
         entries = (await asking).entries
     assert [entry for entry in entries if expected.items() <= entry.items()], entries
+
+
+RETAINED = """
+[subject]
+name = "x"
+version = "1"
+[adapter.mqtt]
+command = ["{python}", "-m", "pytest_otmcp.reference_adapters", "mqtt"]
+env = { MQTT_HOST = "{host}", MQTT_PORT = "{port}" }
+retained = ['estate/devices=[{"name": "lamp"}]', "estate/state=a=b"]
+"""
+
+
+async def test_what_others_have_retained_is_there_before_an_adapter_and_after_a_reset_and_an_outage(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "otmcp.toml").write_text(RETAINED, encoding="utf-8")
+    adapter = load_subject(tmp_path / "otmcp.toml").adapters["mqtt"]
+
+    async def retained(device: MockDevice) -> set[tuple[str, bytes]]:
+        image = await device.image()
+        return {(topic, base64.b64decode(payload)) for topic, payload in image["retained"].items()}
+
+    there = {("estate/devices", b'[{"name": "lamp"}]'), ("estate/state", b"a=b")}
+    async with running("mqtt") as device:
+        under_test = AdapterUnderTest(adapter, "rw", device, BenchOptions())
+        try:
+            await under_test.open()
+            assert await retained(device) >= there
+            await device.reset()
+            assert await retained(device) >= there
+            await device.stop()
+            await device.start()
+            assert await retained(device) >= there
+        finally:
+            await under_test.close()
 
 
 # -- endpoints ------------------------------------------------------------------------------------------------
