@@ -82,7 +82,7 @@ async def answers_are_strict_json(run: Repetition, at: Rig) -> None:
         for name in sorted(arguments.values()):
             altered = Alteration(given={name: f"{run.rng.getrandbits(16):04x}{_AWKWARD}"})
             expect_failure(run, await at.call_altered(asked.operation, altered, **asked.inputs), requirement="ADR-005")
-    await a_read_works(run, at)
+    await a_read_works(run, at, requirement="MCP-007")
     await _read_specials(run, at)
 
 

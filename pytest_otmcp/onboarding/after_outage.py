@@ -46,7 +46,9 @@ async def look_after_outage(experimenter: Experimenter, proposals: Mapping[str, 
             await asyncio.sleep(_PAUSE_S)
 
     try:
-        await adapter.open()
+        await experimenter.renew()
+        if not await works(0.0):
+            return None
         await experimenter.device.stop()
         try:
             await experimenter.answer(proposal.guess, proposal.offset, call.made(experimenter.random), writes=False)

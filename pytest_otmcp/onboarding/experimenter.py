@@ -292,6 +292,11 @@ class Experimenter:
         self._writing = True
         return await self.call(guess, {}, **arguments)
 
+    async def renew(self) -> None:
+        """Start the adapter anew: a call before, such as one with bad arguments, may have left it unable to answer."""
+        await self.adapter.close()
+        await self.adapter.open()
+
     async def answer(
         self, guess: Guess, offset: Mapping[str, int], inputs: Mapping[str, object], *, writes: bool
     ) -> tuple[Mapping[str, object] | None, str]:

@@ -40,7 +40,7 @@ async def look_without_device(experimenter: Experimenter, proposals: Mapping[str
     ]
     others = [tried for tried in proven if not tried[0].status]
     for operation, proposal, inputs in [*(tried for tried in proven if tried[0].status), *others[:1]]:
-        await experimenter.adapter.open()
+        await experimenter.renew()
         await experimenter.device.stop()
         try:
             message, failure = await experimenter.answer(proposal.guess, proposal.offset, inputs, writes=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -133,6 +133,12 @@ class Device(Protocol):
 
     async def poke(self, **params: object) -> None:
         """Set a value out of band."""
+
+    async def furnish(self, furniture: Sequence[Mapping[str, object]]) -> None:
+        """Give it by pokes what has to be there for an adapter: now, and again whenever it was started or reset.
+
+        A device of the user's own has what it has.
+        """
 
     async def fault(self, *rules: Mapping[str, object]) -> None:
         """Replace the fault plan; no rules clears it.

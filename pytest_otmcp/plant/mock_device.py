@@ -13,7 +13,7 @@ import itertools
 import json
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..core.errors import ExhaustedError, KitError, SubjectError
@@ -118,6 +118,7 @@ class MockDevice:
         self._stderr: asyncio.Task[bytes] | None = None
         self._died: KitError | None = None
         self._journal = self._new_journal()
+        self._furniture: Sequence[Mapping[str, object]] = ()
         self.endpoints: Mapping[str, Endpoint] = {}
         self.running = False
         self.faulty = False
@@ -248,6 +249,13 @@ class MockDevice:
         await self._command("start")
         self.faulty = False
         await self._ready()
+        await self.furnish(self._furniture)
+
+    async def furnish(self, furniture: Sequence[Mapping[str, object]]) -> None:
+        """Give it by pokes what has to be there for an adapter: now, and again whenever it was started or reset."""
+        self._furniture = furniture
+        for poke in furniture:
+            await self.poke(**poke)
 
     async def _command(self, word: str) -> None:
         assert self._launcher is not None
@@ -367,6 +375,7 @@ class MockDevice:
         await self.ask("reset")
         self.faulty = False
         await self.ask("pause")
+        await self.furnish(self._furniture)
 
     async def tick(self, steps: int = 1) -> None:
         """Advance the simulation by ``steps`` seconds of plant time."""

@@ -7,7 +7,7 @@ adapter.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from ..core.errors import KitError
 from ..protocols.journal import JournalEntry
@@ -175,6 +175,9 @@ class TappedDevice:
         rule = FaultRule(action=Action.DELAY, direction="out", times=None, seconds=seconds)
         self.tap.inject(*([rule] if seconds else ()))
         self.faulty = bool(seconds)
+
+    async def furnish(self, furniture: Sequence[Mapping[str, object]]) -> None:
+        """Leave it as it is: a device of the user's own has what it has."""
 
     async def reset(self) -> None:
         """End the faults; what the device holds is left as it is."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -44,13 +44,20 @@ def differences(subject: Subject, recorded: RecordedSubject) -> Iterator[str]:
 def _of_adapter(protocol: str, adapter: Adapter, facts: AdapterFacts) -> Iterator[str]:
     recorded: Mapping[str, Any] = dict(facts)
     for name, stated in adapter.facts().items():
-        if name not in _TOLD_BY_THE_SERVER:
+        if name == "lists":
+            # A kit that does not know a list has no empty one of it.
+            yield from _difference(f"{protocol}.lists", _said(facts["lists"]), _said(adapter.lists))
+        elif name not in _TOLD_BY_THE_SERVER:
             yield from _difference(f"{protocol}.{name}", recorded.get(name), stated)
     for operation, stored in facts["bindings"].items():
         if operation not in adapter.operations:
             yield f"{protocol}: the file has no binding of {operation}"
         else:
             yield from _difference(f"{protocol}.bind.{operation}", stored, stored_bindings(adapter, operation))
+
+
+def _said(lists: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    return {key: [*values] for key, values in lists.items() if values}
 
 
 def stored_bindings(adapter: Adapter, operation: str) -> list[dict[str, Any]] | None:

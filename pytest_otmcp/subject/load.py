@@ -125,6 +125,11 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
     answering = read_answering(table, key, Answering())
     operations, connect = _operations(protocol, table, key, answering, path, run=run), _connect(table)
     added = declared_by(operations, known)
+    lists = {name: (*table[name], *added.get(name, ())) for name in known.lists}
+    try:
+        known.beforehand(lists)
+    except ValueError as error:
+        raise Refusal(key, str(error)) from None
     _check_placeholders(table, key, operations)
     check_addresses(protocol, operations, connect, f"{key}.bind")
     check_handles(operations, connect, table.get("ready", {}).get("arguments"), key)
@@ -139,7 +144,7 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
         recovery=table["recovery"],
         recovery_s=float(table["recovery_s"]),
         call_limit=CallLimit(**table["call_limit"]) if "call_limit" in table else None,
-        lists={name: (*table[name], *added.get(name, ())) for name in known.lists},
+        lists=lists,
         probes={**known.probes, **table["probes"]},
         secrets=tuple(table["secrets"]),
         secret_env=_secret_env(table, key),

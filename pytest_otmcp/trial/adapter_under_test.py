@@ -331,6 +331,9 @@ class AdapterUnderTest:
         if self.session is not None and not self.session.died:
             return
         await self.close()
+        if self.device.running:
+            known = protocols()[self.adapter.protocol]
+            await self.device.furnish(known.beforehand(self.adapter.lists))
         # Everything that this session does at its device is in the journal from this sequence number on.
         self.cursor.open_session(await self.device.mark() if self.device.running else self.cursor.next)
         try:

@@ -159,6 +159,9 @@ class LiveDriver:
             for state in self._states:
                 await state.under_test.close()
                 state.under_test.take_ended()
+                if state.under_test.device.faulty:
+                    # The steps that wanted it slow, or silent, have ended before they could end that.
+                    await state.under_test.device.delay(0.0)
         return found + self._leaks()
 
     def _leaks(self) -> list[SessionFacts]:

@@ -117,8 +117,9 @@ def _delivered_again(
     return Finding(code="unasked_write", message=message, requirement="WR-003")
 
 
-_OF_ITS_TIME = {"seq", "t_ns", "connection", "dup", "packet_id", "answers", "client_id", "session", "owner"}
-"""Members of a journal entry that say when and how a request came, and not what it asks for."""
+_WHEN_AND_HOW = {"seq", "t_ns", "connection", "dup", "packet_id", "answers", "client_id", "session", "owner", "peer"}
+_OF_ITS_TIME = {*_WHEN_AND_HOW, "process", "fault"}
+"""Members of a journal entry that say when and how a request came, and what became of it, and not what it asks for."""
 
 
 def _content(entry: JournalEntry) -> dict[str, object]:

@@ -70,6 +70,10 @@ def install(name: str, cache: Path) -> Path:
                 shutil.copy(file, home)
                 _run(name, ["npm", "install", "--silent", "--ignore-scripts", "--no-package-lock"], home)
             (home / "complete").touch()
+        for variable in sources(name):
+            # It runs from a copy: a record does not say where somebody keeps sources.
+            shutil.copytree(os.environ[variable], home / variable, symlinks=True, dirs_exist_ok=True)
+            os.environ[variable] = str(home / variable)
     for own in (EXAMPLES / name).iterdir():
         if own.is_file():
             shutil.copy(own, home)

@@ -49,7 +49,13 @@ def test_the_page_says_what_the_records_say() -> None:
             ['"qos": 0', "adapter → device  PUBLISH", "qos=1", "adapter ← device  PUBACK"],
         ),
         ("mcmqtt", "Q2", "wrong_value", ["adapter ← device  PUBLISH", "mqtt_get_messages", '"messages": []']),
-        ("mqtt5-mcp-server", "S11", "wrote", ["the device is started", "adapter → device  SUBSCRIBE", "SUBACK"]),
+        (
+            "mqtt5-mcp-server",
+            "S11",
+            "wrote",
+            ["the device is started", "adapter → device  PUBLISH", "control/pump", "PUBACK"],
+        ),
+        ("x746b-modbus-mcp", "ADR-002.modbus", "wrote", ['"slave_id": 248', "request: write single register unit=248"]),
         ("kukapay-modbus-mcp", "R-modbus", "not_from_the_device", ["read_input_registers", "Demo Mode", "saw nothing"]),
     ],
 )

@@ -9,7 +9,8 @@ from itertools import chain
 
 from pytest_otmcp.core.text import printable
 from pytest_otmcp.protocols.journal import ADAPTER
-from pytest_otmcp.record.schema import Around, Call, Finding, Sample
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.record.schema import Around, Call, DeviceEntry, Finding, Sample
 from pytest_otmcp.report.causes import Cause
 from pytest_otmcp.report.exchange import Event, conversation
 
@@ -31,7 +32,7 @@ def wire(cause: Cause) -> list[str]:
     calls = [call for call in calls if call["role"] != "setup" or finding["message"].startswith("setup: ")]
     if finding["code"] in _OF_THE_PROCESS or not calls:
         return []
-    call = _about(finding, calls)
+    call = _about(finding, calls, device)
     begin = call["sent_ns"]
     later = [other["sent_ns"] for other in calls if other["sent_ns"] > (call["received_ns"] or begin)]
     end = min(later, default=None)
@@ -75,16 +76,26 @@ def _outages(parts: Sequence[Sample | Around], began: int, ended: int) -> list[t
     return [*before, *(moment for moment in moments if began <= moment[0] <= ended)]
 
 
-def _about(finding: Finding, calls: Sequence[Call]) -> Call:
+def _about(finding: Finding, calls: Sequence[Call], device: Sequence[DeviceEntry]) -> Call:
     """Return the call that a finding is about: the one that it names, or the first that was not as expected.
 
-    Where every reply was as expected the device tells, and it is the last call that it tells about.
+    Where every reply was as expected the device tells: of the call that had just been made when it saw what the finding has for
+    evidence, or of the last one.
     """
     named = [call for call in calls if _names(finding, call)]
     nonces = _NONCE.findall(finding["message"])
     given = (call for call in calls if any(value in nonces for value in call["arguments"].values()))
     bad = [call for call in calls if not call["ok"]]
-    return next(chain((call for call in named if call in bad), given, named, bad), calls[-1])
+    seen_ns = next((entry["t_ns"] for entry in device if _shows(finding, entry)), 0)
+    made = [call for call in calls if call["sent_ns"] <= seen_ns][-1:]
+    return next(chain((call for call in named if call in bad), given, named, bad, made), calls[-1])
+
+
+def _shows(finding: Finding, entry: DeviceEntry) -> bool:
+    """Tell whether a finding's evidence begins with this request of the adapter."""
+    evidence = finding["evidence"] or ""
+    words = protocols()[entry["protocol"]].describe(entry) if entry["request"] and entry["origin"] == ADAPTER else ""
+    return bool(words) and evidence.startswith(words)
 
 
 def _names(finding: Finding, call: Call) -> bool:

@@ -224,6 +224,25 @@ def test_an_adapter_that_needs_a_new_session_after_an_outage_is_described_so(pro
     assert adapter.recovery == "new_session"
 
 
+# A value that does not fit leaves it unable to answer anything in that session, whether or not its device is there.
+HANGS = "import time\n" + PROSE.replace(
+    """def set_register(register: int, value: int) -> str:
+    \"\"\"Write a holding register.\"\"\"
+""",
+    """async def set_register(register: int, value: int) -> str:
+    \"\"\"Write a holding register.\"\"\"
+    while value > 65535:
+        time.sleep(1)
+""",
+)
+
+
+def test_what_a_bad_argument_did_to_a_session_is_not_taken_for_what_an_outage_does(proposed: Proposed) -> None:
+    told, adapter = proposed(HANGS, "modbus", "PLC")
+    assert "write_holding   set_register (proven" in told
+    assert adapter.recovery == "same_session"
+
+
 # A vocabulary of its own, and no tool that reads what the kit knows.
 LAMP = """
 import json, os
@@ -512,6 +531,31 @@ def test_the_doctor_names_cause_and_remedy(otmcp: Otmcp) -> None:
     assert done.returncode == 1
     assert "No module named 'mcp.server.fastmcp'" in done.stdout
     assert "Install it into an environment of its own with 'mcp<2'." in done.stdout
+
+
+def test_the_doctor_says_with_what_a_read_failed_that_reached_the_device(otmcp: Otmcp, tmp_path: Path) -> None:
+    error = '{"code": -32602, "message": "Invalid tools/call result"}'
+    refusing = f'**({{"error": {error}}} if "content" in result else {{"result": result}})'
+    (tmp_path / "old.py").write_text(OLD.replace('"result": result', refusing), encoding="utf-8")
+    text = f'''
+[subject]
+name = "x"
+version = "1"
+[adapter.modbus]
+command = ["{sys.executable}", "old.py", "{{work}}/address"]
+files = {{ address = "{{host}} {{port}}" }}
+answer = "json"
+[adapter.modbus.bind.read_holding]
+tool = "read_holding_registers"
+arguments = {{ address = "$address", count = "$count" }}
+result = {{ values = "registers" }}
+'''
+    (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
+    done = otmcp("doctor")
+    assert done.returncode == 1
+    assert "the mock saw read_holding_registers(address=" in done.stdout
+    assert "which failed (" in done.stdout
+    assert "Invalid tools/call result" in done.stdout
 
 
 def test_the_doctor_compares_a_subject_file_with_the_tools(otmcp: Otmcp, tmp_path: Path) -> None:

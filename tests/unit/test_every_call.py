@@ -200,7 +200,7 @@ def test_a_message_that_is_delivered_again_while_a_call_reads_is_of_the_call_tha
     calls = [call("publish", at=1), call("messages", at=3)]
 
     def found(again: JournalEntry) -> list[tuple[str | None, bool, bool]]:
-        entries = [message(1.5), again]
+        entries = [message(1.5, fault={"reset": True}), again]
         strays = unasked_writes(windows(calls, entries), entries, protocol=mqtt, declared={}, variant="rw")
         return [(finding.requirement, "with DUP" in finding.message, reader is None) for finding, reader in strays]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import os
 import signal
 import socket
@@ -14,11 +15,15 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.errors import KitError, SubjectError
+from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.plant.endpoint import Endpoint, endpoint_values
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.subject import load_subject
 from pytest_otmcp.subject.model import replace_template
+from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
+from pytest_otmcp.trial.bench import Bench
+from pytest_otmcp.trial.live_driver import LiveDriver
 
 pytestmark = pytest.mark.asyncio
 
@@ -60,6 +65,42 @@ async def test_what_arrived_before_the_question_is_in_the_answer(
             os.kill(pid, signal.SIGCONT)
         entries = (await asking).entries
     assert [entry for entry in entries if expected.items() <= entry.items()], entries
+
+
+RETAINED = """
+[subject]
+name = "x"
+version = "1"
+[adapter.mqtt]
+command = ["{python}", "-m", "pytest_otmcp.reference_adapters", "mqtt"]
+env = { MQTT_HOST = "{host}", MQTT_PORT = "{port}" }
+retained = ['estate/devices=[{"name": "lamp"}]', "estate/state=a=b"]
+"""
+
+
+async def test_what_others_have_retained_is_there_before_an_adapter_and_after_a_reset_and_an_outage(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "otmcp.toml").write_text(RETAINED, encoding="utf-8")
+    adapter = load_subject(tmp_path / "otmcp.toml").adapters["mqtt"]
+
+    async def retained(device: MockDevice) -> set[tuple[str, bytes]]:
+        image = await device.image()
+        return {(topic, base64.b64decode(payload)) for topic, payload in image["retained"].items()}
+
+    there = {("estate/devices", b'[{"name": "lamp"}]'), ("estate/state", b"a=b")}
+    async with running("mqtt") as device:
+        under_test = AdapterUnderTest(adapter, "rw", device, BenchOptions())
+        try:
+            await under_test.open()
+            assert await retained(device) >= there
+            await device.reset()
+            assert await retained(device) >= there
+            await device.stop()
+            await device.start()
+            assert await retained(device) >= there
+        finally:
+            await under_test.close()
 
 
 # -- endpoints ------------------------------------------------------------------------------------------------
@@ -194,3 +235,21 @@ async def test_an_adapter_is_told_all_endpoints_where_it_is_launched_and_asked_t
         assert replace_template(adapter.connect.arguments, {}, under_test.endpoint) == {
             **{"line": line.path, "port": datagram.port, "at": f"modbus+tcp://{device.host}:{device.port}"},
         }
+
+
+async def test_what_steps_wanted_of_a_device_and_could_not_end_does_not_meet_the_next_start(tmp_path: Path) -> None:
+    (tmp_path / "otmcp.toml").write_text(RETAINED, encoding="utf-8")
+    plant = Plant()
+    bench = Bench(load_subject(tmp_path / "otmcp.toml"), BenchOptions(), plant)
+    try:
+        await bench.prepare(["mqtt"])
+        driver = LiveDriver(bench, tasks_by_id(["mqtt"])["Q1"], seed=1)
+        await driver.prepare()
+        device = (await bench.adapter("mqtt")).device
+        await device.fault({"packet": "CONNECT", "action": {"delay_s": 60}})
+        await driver.end_sessions()
+        assert not device.faulty
+        await driver.open_sessions()
+    finally:
+        await bench.close()
+        await plant.close()

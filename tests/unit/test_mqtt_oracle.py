@@ -173,6 +173,8 @@ def test_a_subscription_that_must_not_come_is_found_also_when_it_is_malformed() 
     )
     malformed = sent("malformed", packet="SUBSCRIBE", reason="SUBSCRIBE 't' with the options 0x05")
     assert "the options 0x05" in words(oracle.not_subscribed(journal(malformed), "stress/#"))
+    (once,) = oracle.not_subscribed(journal(*SUBSCRIBED, malformed), "sensors/#", "stress/#", "")
+    assert "it saw 2" in once.message
 
 
 def test_a_device_that_must_not_be_reported_is_told_from_the_adapters_own_node() -> None:

@@ -225,7 +225,7 @@ def test_a_limit_of_calls_may_be_declared(tmp_path: Path) -> None:
 
 def test_further_topics_of_commands_may_be_declared(tmp_path: Path) -> None:
     text = LAUNCH.replace("modbus", "mqtt") + 'command_topics = ["line/+/set"]\n'
-    assert load(tmp_path, text).adapters["mqtt"].lists == {"command_topics": ("line/+/set",)}
+    assert load(tmp_path, text).adapters["mqtt"].lists["command_topics"] == ("line/+/set",)
     assert load(tmp_path, LAUNCH).adapters["modbus"].lists == {}
 
 
@@ -286,6 +286,10 @@ REFUSED = {
     "command topics": (
         LAUNCH + 'command_topics = ["x"]\n',
         "adapter.modbus.command_topics: unknown key",
+    ),
+    "no retained message": (
+        LAUNCH.replace("modbus", "mqtt") + 'retained = ["estate/devices"]\n',
+        "adapter.mqtt: retained: expected TOPIC=PAYLOAD, found 'estate/devices'",
     ),
     "environment": (LAUNCH + "env = { A = 1 }\n", "adapter.modbus.env.A: expected a string, found a number"),
     "directory": (LAUNCH + 'cwd = "nowhere"\n', "adapter.modbus.cwd:"),
@@ -426,6 +430,7 @@ def test_the_editors_schema_refuses_what_the_kit_refuses(name: str) -> None:
     by_kit_alone = {
         "directory", "file elsewhere", "rules for an envelope", "foreign without bindings", "unknown input", "hidden case",
         "jmespath", "regular expression", "no bindings file", "deviation twice", "another host",
+        "no retained message",
     }  # fmt: skip
     assert bool(found) == (name not in by_kit_alone)
 

@@ -18,6 +18,7 @@ from .host_state import HostState
 from .operations import OPERATIONS
 from .oracle import Publications, Refused, Subscriptions, no_command
 from .proof import PROOF
+from .retained import RETAINED, beforehand
 from .sparkplug_oracle import Births, SparkplugSequence, kept_or_executed, stamps
 from .trace import facts
 
@@ -53,8 +54,12 @@ PROTOCOL = OtProtocol(
             unbound={"host": dict.fromkeys(("info", "subscribe", "messages", "publish"), _HOST_ALONE)},
         ),
     ),
-    lists={COMMAND_TOPICS: "Topic filters, beside control/#, below which a publication commands the plant."},
+    lists={
+        COMMAND_TOPICS: "Topic filters, beside control/#, below which a publication commands the plant.",
+        RETAINED: "Messages that other programs have retained on the broker before the adapter comes, each as TOPIC=PAYLOAD.",
+    },
     declares=declares,
+    beforehand=beforehand,
     covers=lambda name, kept, asked: name == "filter" and covers(str(kept), str(asked)),
     framing=Framing(frame_length=packet_length, conversation=MqttConversation),
     unsolicited=no_command,

@@ -412,11 +412,11 @@ def not_reported(entries: Entries, device: str) -> list[Finding]:
     return _unexpected("PUBLISH", found, "WR-004")
 
 
-def not_subscribed(entries: Entries, filter: str) -> list[Finding]:
-    """Expect no SUBSCRIBE to this filter, and no malformed one."""
+def not_subscribed(entries: Entries, *filters: str) -> list[Finding]:
+    """Expect no SUBSCRIBE to any of these filters, and no malformed one."""
     found = FirstPackets()
     for packet in _packets(entries, "SUBSCRIBE"):
-        if packet["kind"] == "malformed" or filter in [wanted.get("filter") for wanted in packet["filters"]]:
+        if packet["kind"] == "malformed" or any(wanted.get("filter") in filters for wanted in packet["filters"]):
             found.add(packet)
     return _unexpected("SUBSCRIBE", found, "ADR-007")
 
