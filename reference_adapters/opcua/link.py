@@ -115,7 +115,10 @@ class Session:
             status = ua.StatusCode(fault.code)
             call.answered(status_code=trace_status(status))
             refused = refusal(status, writes=call.writes, changes=changes)
-            raise Lost(refused) if status.name in _GONE else refused from None
+            if status.name in _GONE:
+                # The refusal of a question says nothing of a write before it.
+                raise Lost(None if call.writes_sent and not changes else refused) from None
+            raise refused from None
         except OSError:
             raise
         except Exception:

@@ -137,7 +137,7 @@ class Tools:
                 "status": status.name,
             }
             if status.name == "GoodClamped":
-                (held,) = await services.read([node])
+                held = await _held(services, node)
                 written["clamped"] = True
                 written["value"] = from_variant(held.Value, cleaner(call, "/data/value"))["value"]
             if status.name == "GoodCompletesAsynchronously":
@@ -208,6 +208,16 @@ def _input_arguments(values: list[Any], inputs: list[NodeFacts]) -> list[ua.Vari
         _variant(value, facts, f"/arguments/{index}")
         for index, (value, facts) in enumerate(zip(values, inputs, strict=True))
     ]
+
+
+async def _held(services: Services, node: ua.NodeId) -> ua.DataValue:
+    """Return what a variable holds after the server has changed the value that was written."""
+    try:
+        (held,) = await services.read([node])
+    except AdapterError as error:
+        message = f"the server took another value than was written, and does not say which: {error.message}"
+        raise AdapterError("verify_failed", message) from None
+    return held
 
 
 def _reading(node: str, result: ua.DataValue, clean: Callable[[str | None], str]) -> Reading:

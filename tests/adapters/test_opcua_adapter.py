@@ -643,6 +643,24 @@ def test_a_lost_session_is_replaced_and_a_write_in_it_was_not_done(adapter: Any,
     assert held(plant, FAN) == 3.0
 
 
+@pytest.mark.parametrize(
+    ("symbol", "code", "outcome"),
+    [("BadSessionIdInvalid", "connection_lost", "unknown"), ("BadUserAccessDenied", "verify_failed", "applied")],
+)
+def test_a_write_is_not_sent_again_when_the_question_after_it_is_refused(
+    adapter: Any, plant: Any, symbol: str, code: str, outcome: str
+) -> None:
+    adapter.call("write_opcua_node", node_id=FAN, value=1)
+    plant.fault(
+        {"service": "Write", "action": {"clamp": 80.0}},
+        {"service": "Read", "times": 1, "action": {"service_fault": symbol}},
+    )
+    mark = plant.mark()
+    reply = adapter.call("write_opcua_node", node_id=FAN, value=120)
+    assert (reply.error["code"], reply.error["outcome"]) == (code, outcome)
+    assert asked(plant, mark) == ["Write", "Read"]
+
+
 def test_a_handshake_that_is_not_answered_leaves_the_next_call_the_rest_of_its_time(adapter: Any, plant: Any) -> None:
     assert adapter.call("write_opcua_node", node_id=FAN, value=1).envelope["success"]
     plant.fault({"action": {"drop": True}})
