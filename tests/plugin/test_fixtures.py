@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 from contextvars import ContextVar
+from typing import Any
 
 import psutil
 import pytest
 
+from pytest_otmcp import devices, sessions
+from pytest_otmcp.plugin.fixtures.handle import Handle
 from pytest_otmcp.session.loop import LoopThread
 
 from .vendor import Outcome, Repository
@@ -214,6 +218,28 @@ def test_what_a_test_has_in_its_context_does_not_reach_the_kits_loop() -> None:
         whose.reset(token)
     finally:
         loop.close()
+
+
+@pytest.mark.parametrize(
+    ("plain", "awaited", "names"),
+    [
+        (devices.ModbusDevice, devices.AsyncModbusDevice, ("image", "wait_for", "poke")),
+        (devices.AnyDevice, devices.AsyncAnyDevice, ("journal", "fault", "poke")),
+        (sessions.Session, sessions.AsyncSession, ("call", "tool", "close")),
+    ],
+)
+def test_a_handle_and_its_twin_have_the_same_methods(
+    plain: type[Handle], awaited: type[Handle], names: tuple[str, ...]
+) -> None:
+    handle: Any = plain.__new__(plain)
+    twin = handle.aio
+    assert type(twin) is awaited
+    assert handle.aio is twin
+    for name in names:
+        method, other = getattr(handle, name), getattr(twin, name)
+        assert inspect.signature(method) == inspect.signature(other)
+        assert method.__doc__ == other.__doc__
+        assert (inspect.iscoroutinefunction(method), inspect.iscoroutinefunction(other)) == (False, True)
 
 
 FURTHER = """
