@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 from contextvars import ContextVar
+from pathlib import Path
 from typing import Any
 
 import psutil
@@ -15,6 +16,8 @@ from pytest_otmcp.plugin.fixtures.handle import Handle
 from pytest_otmcp.session.loop import LoopThread
 
 from .vendor import Outcome, Repository
+
+TOY = Path(__file__).parents[1] / "toy" / "site"
 
 ISOLATION = """
 PORTS = set()
@@ -280,3 +283,38 @@ def test_devices_of_further_protocols_are_poked_and_say_what_they_have_seen(empt
     empty_repository.write(tests__test_it_py=FURTHER)
     outcome = empty_repository.pytest()
     assert "5 passed" in outcome.output, outcome.output
+
+
+THIRD_PARTY = """
+import socket
+
+import pytest
+
+from pytest_otmcp.devices import AnyDevice, UsageError
+
+def test_toy(otmcp_device):
+    toy = otmcp_device("toy")
+    assert type(toy) is AnyDevice
+    toy.poke(address=3, value=7)
+    assert toy.image()["points"]["3"] == 7
+    with socket.create_connection((toy.host, toy.port)) as client:
+        client.sendall(b"W 3 8\\n")
+        (asked,) = toy.wait_for(kind="write")
+    assert (asked.writes, asked.received, asked.fields["value"]) == (True, True, 8)
+    toy.stop()
+    with pytest.raises(UsageError, match=r"otmcp_device\\('toy'\\).poke\\(\\): the device is stopped"):
+        toy.poke(address=3, value=7)
+
+async def test_twin(otmcp_device):
+    toy = otmcp_device("toy").aio
+    await toy.poke(address=3, value=7)
+    assert (await toy.image())["points"]["3"] == 7
+"""
+
+
+def test_the_device_of_a_third_partys_protocol_is_poked_and_says_what_it_has_seen(
+    empty_repository: Repository,
+) -> None:
+    empty_repository.write(tests__test_it_py=THIRD_PARTY)
+    outcome = empty_repository.pytest("-o", "asyncio_mode=auto", plugins="pytest_asyncio.plugin", path=(TOY,))
+    assert "2 passed" in outcome.output, outcome.output
