@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 from contextvars import ContextVar
+from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 
+from pytest_otmcp import devices, sessions
+from pytest_otmcp.plugin.fixtures.handle import Handle
 from pytest_otmcp.session.loop import LoopThread
 
 from .vendor import Outcome, Repository
+
+TOY = Path(__file__).parents[1] / "toy" / "site"
 
 ISOLATION = """
 PORTS = set()
@@ -216,6 +223,28 @@ def test_what_a_test_has_in_its_context_does_not_reach_the_kits_loop() -> None:
         loop.close()
 
 
+@pytest.mark.parametrize(
+    ("plain", "awaited", "names"),
+    [
+        (devices.ModbusDevice, devices.AsyncModbusDevice, ("image", "wait_for", "poke")),
+        (devices.AnyDevice, devices.AsyncAnyDevice, ("journal", "fault", "poke")),
+        (sessions.Session, sessions.AsyncSession, ("call", "tool", "close")),
+    ],
+)
+def test_a_handle_and_its_twin_have_the_same_methods(
+    plain: type[Handle], awaited: type[Handle], names: tuple[str, ...]
+) -> None:
+    handle: Any = plain.__new__(plain)
+    twin = handle.aio
+    assert type(twin) is awaited
+    assert handle.aio is twin
+    for name in names:
+        method, other = getattr(handle, name), getattr(twin, name)
+        assert inspect.signature(method) == inspect.signature(other)
+        assert method.__doc__ == other.__doc__
+        assert (inspect.iscoroutinefunction(method), inspect.iscoroutinefunction(other)) == (False, True)
+
+
 FURTHER = """
 def test_s7(otmcp_s7_device, otmcp_session):
     otmcp_s7_device.poke("DB10", 44, bytes([4, 210]))
@@ -254,3 +283,38 @@ def test_devices_of_further_protocols_are_poked_and_say_what_they_have_seen(empt
     empty_repository.write(tests__test_it_py=FURTHER)
     outcome = empty_repository.pytest()
     assert "5 passed" in outcome.output, outcome.output
+
+
+THIRD_PARTY = """
+import socket
+
+import pytest
+
+from pytest_otmcp.devices import AnyDevice, UsageError
+
+def test_toy(otmcp_device):
+    toy = otmcp_device("toy")
+    assert type(toy) is AnyDevice
+    toy.poke(address=3, value=7)
+    assert toy.image()["points"]["3"] == 7
+    with socket.create_connection((toy.host, toy.port)) as client:
+        client.sendall(b"W 3 8\\n")
+        (asked,) = toy.wait_for(kind="write")
+    assert (asked.writes, asked.received, asked.fields["value"]) == (True, True, 8)
+    toy.stop()
+    with pytest.raises(UsageError, match=r"otmcp_device\\('toy'\\).poke\\(\\): the device is stopped"):
+        toy.poke(address=3, value=7)
+
+async def test_twin(otmcp_device):
+    toy = otmcp_device("toy").aio
+    await toy.poke(address=3, value=7)
+    assert (await toy.image())["points"]["3"] == 7
+"""
+
+
+def test_the_device_of_a_third_partys_protocol_is_poked_and_says_what_it_has_seen(
+    empty_repository: Repository,
+) -> None:
+    empty_repository.write(tests__test_it_py=THIRD_PARTY)
+    outcome = empty_repository.pytest("-o", "asyncio_mode=auto", plugins="pytest_asyncio.plugin", path=(TOY,))
+    assert "2 passed" in outcome.output, outcome.output
