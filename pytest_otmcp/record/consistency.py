@@ -6,7 +6,7 @@ The checks take one sample at a time, so that a record of any length can be chec
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 
 from ..core.matrix import REQUIREMENTS, SUITES, repetitions
@@ -64,6 +64,8 @@ class RunChecker:
         for suite in header["settings"]["suites"]:
             if suite not in SUITES:
                 raise Contradiction(f"the settings ask for the unknown suite {suite!r}")
+        _check_once(header["settings"]["suites"], "the settings ask for the suite")
+        _check_once([entry["key"] for entry in header["kit"]["protocols"]], "the kit has the protocol")
 
     def item(self, item: ItemHead, samples: Iterable[Sample]) -> Iterator[Sample]:
         """Check an item while its samples pass through.
@@ -130,9 +132,19 @@ class RunChecker:
                 raise Contradiction(f"the footer counts {stated} {what}, there are {found}")
         if footer["complete"] and "digest" not in footer:
             raise Contradiction("a complete record without a digest")
+        if footer["complete"] != (footer["reason"] is None):
+            raise Contradiction("a record has a reason in its footer if, and only if, it is not complete")
+        if "digest" in footer and (missing := [name for name in counted if name not in footer]):
+            raise Contradiction(f"the footer of a run that has ended does not count its {' and '.join(missing)}")
         claimed = footer.get("verdict")
         if claimed == Verdict.CONFORMANT and decide(self._statuses, self._statuses.keys()) != Verdict.CONFORMANT:
             raise Contradiction("the footer says CONFORMANT, the items do not")
+
+
+def _check_once(names: Sequence[str], what: str) -> None:
+    twice = next((name for name, number in Counter(names).items() if number > 1), None)
+    if twice is not None:
+        raise Contradiction(f"{what} {twice!r} twice")
 
 
 def settings_faults(settings: Settings) -> Iterator[str]:

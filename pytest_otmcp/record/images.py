@@ -39,6 +39,8 @@ def restore_image(images: Images, at: str, seen: Mapping[str, Any]) -> dict[str,
         place: Any = image
         for step in way:
             place = place[step]
+        if place[last] == value and type(place[last]) is type(value):
+            raise ValueError(f"the image has {value!r} at {path} already")
         place[last] = value
     return image
 

@@ -167,6 +167,8 @@ class DeviceHistory:
 
 def _against_contract(entry: JournalEntry) -> str | None:
     """Say what no entry of any protocol can be (:mod:`pytest_otmcp.core.journal_entry`); None where it can."""
+    if entry["direction"] == "out" and entry["kind"] in ("CONNECTED", "DISCONNECTED"):
+        return f"is a {entry['kind']!r}, and is called an answer of the device"
     if entry["direction"] == "out" and (entry["request"] or entry["state_changing"]):
         return "was sent by the device, and is called a request"
     if entry["state_changing"] and not entry["request"]:

@@ -258,6 +258,13 @@ class ReplayDriver:
         """Say what the history has beyond the task's end; None when it has nothing."""
         if self._ended or self._around or next(self._samples, None) is not None:
             return "the history has more than the task does"
+        taken = {state.protocol for state in self._states}
+        early = self._head["ended"] or self._head["status"] in (Status.INTERRUPTED, Status.KIT_ERROR)
+        for remark in self._head["sessions"]:
+            number = remark["inspection"]
+            # An item that ended early may have ended in the midst of an inspection.
+            if remark["protocol"] not in taken or not (early or 1 <= number <= self._inspections):
+                return f"it has a remark about a session of {remark['protocol']} from inspection {number}, which there was not"
         if self._clock.now_ns > self._head["ended_ns"]:
             return f"it went on until {self._clock.now_ns} ns, but ended at {self._head['ended_ns']} ns"
         return None

@@ -296,6 +296,8 @@ class StoredPlayer(Player):
     # -- calls --------------------------------------------------------------------------------------------
 
     async def perform(self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None) -> Reply:
+        if self.cursor.session is None:
+            raise HistoryError(f"{self.name} was called before the history has a session of it")
         try:
             call = self._past.call(self._state, operation, inputs, together=self._ledger.together)
         except HistoryError:

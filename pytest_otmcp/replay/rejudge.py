@@ -19,7 +19,7 @@ from ..plant.endpoint import Endpoint, endpoint_values
 from ..protocols.registry import protocols
 from ..record.consistency import inapplicable_by_steps
 from ..record.reader import StoredItem, StoredRun
-from ..record.schema import SCHEMA, Finding, Header, ItemBody, ItemHead, Sample
+from ..record.schema import SCHEMA, Endpoint as EndpointFacts, Finding, Header, ItemBody, ItemHead, Sample
 from ..subject.claims import Claims
 from ..suite.catalogue import all_tasks, suite_digest
 from ..trial.task import Task
@@ -48,6 +48,7 @@ _OF_CALL = (
     "listed",
     "outputs",
     "error_code",
+    "group",
 )
 
 Said = Mapping[str, Any]
@@ -125,7 +126,11 @@ class _Judge:
                 if endpoint["kind"] != "pty" and not _is_loopback(endpoint["host"]):
                     stated = f"a device of the kit listens on this machine only, the record says {endpoint['host']!r}"
                     yield Objection(name, stated)
+                if _impossible(endpoint):
+                    yield Objection(name, f"no endpoint of the kind {endpoint['kind']!r} is at {short(endpoint)}")
             endpoints = {endpoint["name"]: Endpoint(**endpoint) for endpoint in facts["endpoints"]}
+            if len(endpoints) < len(facts["endpoints"]):
+                yield Objection(name, "two of its endpoints have the same name")
             follows = endpoint_values(protocols()[facts["protocol"]].scheme, endpoints)
             if facts["placeholders"] != follows:
                 stated = short(facts["placeholders"])
@@ -201,6 +206,12 @@ def _is_loopback(host: str) -> bool:
         return host == "localhost" or ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def _impossible(endpoint: EndpointFacts) -> bool:
+    """Tell whether an endpoint has more than its kind of address: a port has no path, a pseudo terminal has nothing else."""
+    is_line = endpoint["kind"] == "pty"
+    return is_line != bool(endpoint["path"]) or is_line == bool(endpoint["host"]) or is_line == bool(endpoint["port"])
 
 
 def _of_sample(where: str, found: Sample, said: Sample) -> Iterator[Difference]:

@@ -139,6 +139,8 @@ def _exchange(call: Mapping[str, Any]) -> Exchange | None:
             if not (_altered(frames["request"]) or _altered(frames["response"])):
                 raise HistoryError(f"the frames of {call['tool']} are not those of their digest")
             return None
+        if response is not None and failure is not None:
+            raise HistoryError(f"{call['tool']} was answered, and its failure is called {failure!r}")
     return Exchange(
         tool=call["tool"],
         arguments=call["arguments"],

@@ -48,33 +48,7 @@ FORGED: dict[str, tuple[str, Entry, str]] = {
         entry("PUBACK", **MESSAGE),
         "has 'topic', which a 'PUBACK' does not have",
     ),
-    "a publication that has ended": ("mqtt", entry("publish", **COMMANDS, **MESSAGE), "'publish', which is no packet"),
-    "a publication without a topic": (
-        "mqtt",
-        entry("PUBLISH", **COMMANDS, payload="MQ==", qos=0),
-        "is called 'PUBLISH', and has no 'topic'",
-    ),
-    "a publication without a payload": (
-        "mqtt",
-        entry("PUBLISH", **COMMANDS, topic="a", qos=0),
-        "is called 'PUBLISH', and has no 'payload'",
-    ),
-    "a delivery that commands": (
-        "mqtt",
-        entry("PUBLISH", "out", state_changing=True, **MESSAGE),
-        "says state_changing True, its kind 'PUBLISH' says False",
-    ),
-    "a subscription without filters": (
-        "mqtt",
-        entry("SUBSCRIBE", **ASKS, packet_id=1),
-        "is called 'SUBSCRIBE', and has no 'filters'",
-    ),
     "a will of a publication": ("mqtt", entry("PUBLISH", **COMMANDS, **MESSAGE, will=None), "has 'will', which"),
-    "a request of the plant's": (
-        "mqtt",
-        entry("PINGREQ", origin="plant", request=True),
-        "says request True, its kind 'PINGREQ' says False",
-    ),
     "a write that is called a read": (
         "opcua",
         entry("Read", **ASKS, nodes=[WRITTEN]),
@@ -106,11 +80,6 @@ FORGED: dict[str, tuple[str, Entry, str]] = {
         "has 'nodes', which a 'CloseSession' that was received does not have",
     ),
     "a write that is called an end": ("opcua", entry("DISCONNECTED", nodes=[WRITTEN]), "has 'nodes', which"),
-    "an end that asks": (
-        "opcua",
-        entry("DISCONNECTED", **ASKS),
-        "says request True, its kind 'DISCONNECTED' says False",
-    ),
     "a sealed service that only asks": (
         "opcua",
         entry("Sealed", **ASKS),

@@ -1,0 +1,213 @@
+"""A record with one changed leaf is refused, unless its place is one that nothing else in a record can contradict.
+
+What a forger changes is in ``forging``. Forgeries of structure, such as items of two runs, are in ``tests/plugin/test_forgeries``.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import random
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_otmcp import __version__
+from pytest_otmcp.cli import Refusal
+from pytest_otmcp.cli.examination import examine
+from pytest_otmcp.core.matrix import repetitions
+from pytest_otmcp.core.verdict import Status, decide
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.record.consistency import count_calls
+from pytest_otmcp.suite.catalogue import KIT, identity, kit_digest, suite_digest, tasks_by_id
+from tests.stored_runs import store
+
+from .files import path_of
+from .forging import Forgery, forgeries
+
+RECORDS = {
+    "foreign-modbus-http": 2,
+    "defect-MU-13": 1,
+    "defect-MU-51": 1,
+    "defect-MU-52g": 1,
+    "defect-MU-52r": 1,
+    "defect-MU-109m": 1,
+    "foreign-mqtt-handle": 2,
+    "defect-MU-62q": 1,
+    "defect-MU-64u": 1,
+    "defect-MU-77l": 1,
+    "foreign-opcua-items": 2,
+    "defect-MU-99e": 1,
+    "defect-MU-92k": 1,
+    "defect-MU-81dnp": 1,
+    "honest-bacnet-reads-with-status-flags": 1,
+    "defect-MU-61ei": 1,
+    "defect-MU-10p": 1,
+}
+"""Golden records, and how many of their items are enough: together they have every protocol, outages, guards, foreign answers and
+every kind of look but those of an adapter's own figures."""
+
+SAMPLED = 60
+"""Changes of each record that the fast lane makes; the weekly lane makes all."""
+
+_CALL = "items[].parts[].calls[*]"
+_ENTRY = "items[].(parts[].device|devices.*.before)[*]"
+_MQTT = "items[].(parts[].device[mqtt]|devices.mqtt*.before[])"
+_LOOK = "items[].parts[].observations[]"
+
+BELIEVED: Mapping[str, tuple[str, ...]] = {
+    "the subject file says it: verify --subject compares the file": (
+        "subject.(name|version|digest)",
+        "subject.adapters.*.(addressed_by|bindings|bounds|cached|call_limit|command|lists|offered|probes|times|unclaimed)**",
+        "subject.adapters.*.(deadline_s|recovery|recovery_s|transport)",
+    ),
+    "the server says it of itself, or its program shows it": (
+        "subject.adapters.*.(server_name|server_version|protocol_version|tools|libraries|listing|unjudged|unmet)**",
+    ),
+    "it is about the machine, or what was asked of the run": (
+        "environment.(python|platform|started_at)",
+        "settings.(broker|era|narrowed|seed|soak|subject|suites|time_scale|xdist_workers)**",
+        "devices.*.endpoints[].name",
+    ),
+    "only the kit has measured it": (
+        "items[].timing_ms**",
+        "items[].devices.*.accepting_ns",
+        f"{_LOOK}.start.ms",
+        f"{_LOOK}.fresh_session.(ended|seconds)",
+    ),
+    "it only tells one thing from another": (
+        "items[].order",
+        "items[].devices.*.session[]",
+        f"{_LOOK}.session[]",
+        f"{_LOOK}.fresh_session.opened",
+        f"{_CALL}.envelope.meta.request_id",
+    ),
+    "the adapter said it, and nothing else tells the same": (
+        f"{_CALL}.envelope.meta.(latency_ms|operation|trace|connection)**",
+        f"{_CALL}.envelope.error.(message|field|retryable|outcome)",
+        "defect-MU-51 items[].parts[].calls[task].envelope.meta.(attempts|source|started_at)",
+        "defect-MU-(99e|52r) items[].parts[].calls[control].envelope.meta.(attempts|source)",
+        "items[].parts[].calls[(setup|recovery)].envelope**",
+        "items[].parts[].calls[*].envelope.data.*",
+    ),
+    "nothing is derived from it": (
+        "items[].findings[].evidence",
+        "items[].parts[].findings[].evidence",
+        f"{_ENTRY}.(peer|process|fault|reason|bytes)**",
+    ),
+    "only the kit has seen it of the adapter's processes": (
+        f"{_LOOK}.(handshake_era.revision|line_sent|stderr|tools)**",
+        "items[].sessions[]",
+        "items[].sessions[].(first_stray|inspection|leaks[])",
+    ),
+    "the frames had bytes that are no text, or a Python function performed the call": (
+        f"defect-MU-52g {_CALL}.(frames|frames_sha256)**",
+        f"foreign-mqtt-handle {_CALL}.tool",
+    ),
+    "the device says it of itself, and no later look repeats it": (
+        f"{_LOOK}.image**",
+        f"{_LOOK}.changes**",
+    ),
+    "the entry has no bytes that say it": (
+        "items[].(parts[].device|devices.*.before)[(CONNECTED|DISCONNECTED)].(connection|origin)",
+        "items[].(parts[].device[modbus]|devices.modbus*.before[]).(unit|transaction_id)",
+        f"{_MQTT}.(clean_start|client_id|dup|keepalive|packet_id|payload|protocol_level|qos|retain|session_present|topic|username)",
+        f"{_MQTT}.(filters|reason_codes|will)**",
+        f"{_MQTT}.sparkplug",
+        f"{_MQTT}.sparkplug.(device|error|metrics[].alias|metrics[].value|seq)",
+        "items[].(parts[].device[opcua]|devices.opcua*.before[]).(nodes|results|service_result)**",
+        "items[].(parts[].device[dnp3]|devices.dnp3*.before[]).(source|destination)",
+        "items[].parts[].device[s7].(called|calling|direction|kind|rack|slot|service)",
+        "items[].parts[].device[(profibus|ethernetip)].(master|service|state_changing)",
+    ),
+    "a hole: a request that is too short shows fewer members than the entry has": (
+        "items[].parts[].device[modbus].pdu",
+    ),
+}
+"""The places whose change alone is believed, by the reason; ``docs/certificate.md`` tells it. ``*`` stands for one name, ``**`` for the
+place and everything below it, ``(a|b)`` for one of both."""
+
+
+def _pattern(place: str) -> re.Pattern[str]:
+    text = re.sub(r"[.\[\]]", lambda found: f"\\{found[0]}", place).replace("**", "\0").replace("*", r"[^\]]*")
+    return re.compile(text.replace("\0", ".*"))
+
+
+_PATTERNS = {place: _pattern(place) for places in BELIEVED.values() for place in places}
+
+
+def believed(name: str, place: str) -> str | None:
+    """Return the place on the list that a place of a record is; None for one whose change must be refused."""
+    return next((known for known, pattern in _PATTERNS.items() if _matches(pattern, name, place)), None)
+
+
+@cache
+def _matches(pattern: re.Pattern[str], name: str, place: str) -> bool:
+    return bool(pattern.fullmatch(place) or pattern.fullmatch(f"{name} {place}"))
+
+
+@cache
+def forged(name: str) -> dict[str, Any]:
+    """Return the first items of a golden record as if this kit had just made them in a run that was ended then."""
+    run: dict[str, Any] = json.loads(gzip.decompress(path_of(name).read_bytes()))
+    run["items"] = items = run["items"][: RECORDS[name]]
+    adapters, settings = run["subject"]["adapters"], run["settings"]
+    run["kit"] |= {"name": KIT, "version": __version__, "digest": kit_digest(), "suite_digest": suite_digest()}
+    run["kit"]["protocols"] = [identity(protocols()[key]) for key in adapters]
+    used = {found["device"] for item in items for found in item["devices"].values()}
+    run["devices"] = {device: facts for device, facts in run["devices"].items() if device in used}
+    run["environment"] |= {
+        "started_at": min(item["started_at"] for item in items),
+        "finished_at": max(item["finished_at"] for item in items),
+    }
+    settings["repetitions"] = repetitions(settings["reps"])
+    statuses = {item["id"]: Status(item["status"]) for item in items}
+    run["footer"]["verdict"] = str(decide(statuses, tasks_by_id(adapters, settings["suites"])))
+    counts = {"items": len(run["items"]), "samples": sum(len(item["samples"]) for item in run["items"])}
+    run["footer"] |= {**counts, "tool_calls": count_calls(run["items"])}
+    return run
+
+
+def _accepted(run: dict[str, Any], made: Iterable[Forgery], directory: Path) -> list[Forgery]:
+    """Return the forgeries that ``otmcp verify`` does not refuse."""
+    return [forgery for forgery in made if _is_verified(forgery.applied(run), directory)]
+
+
+def _is_verified(run: dict[str, Any], directory: Path) -> bool:
+    try:
+        return examine(store(directory / "run.json", run)).said[0].startswith("verified: ")
+    except Refusal:
+        return False
+
+
+def _refusable(name: str) -> Iterator[Forgery]:
+    return (forgery for forgery in forgeries(forged(name)) if believed(name, forgery.place) is None)
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_record_with_one_of_some_leaves_changed_is_refused(name: str, tmp_path: Path) -> None:
+    assert _is_verified(forged(name), tmp_path)
+    by_place = {(forgery.place, forgery.what): forgery for forgery in _refusable(name)}
+    made = random.Random(name).sample([*by_place.values()], SAMPLED)
+    assert _accepted(forged(name), made, tmp_path) == []
+
+
+@pytest.mark.weekly
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_record_with_any_leaf_changed_is_refused(name: str, tmp_path: Path) -> None:
+    assert _accepted(forged(name), _refusable(name), tmp_path) == []
+
+
+@pytest.mark.weekly
+def test_a_change_of_each_place_on_the_list_is_believed(tmp_path: Path) -> None:
+    open_places = {*_PATTERNS}
+    for name in RECORDS:
+        for forgery in forgeries(forged(name)):
+            place = believed(name, forgery.place)
+            if place in open_places and _is_verified(forgery.applied(forged(name)), tmp_path):
+                open_places.remove(place)
+    assert open_places == set()
