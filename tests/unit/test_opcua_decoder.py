@@ -54,6 +54,13 @@ def read_request(*nodes: ua.NodeId) -> ua.ReadRequest:
 # -- messages ---------------------------------------------------------------------------------------------
 
 
+def test_a_node_that_is_named_by_its_namespace_uri_is_read_as_servers_read_it() -> None:
+    """The library writes an ExpandedNodeId, which OPC 10000-6 does not have there, and its server answers."""
+    request = message(read_request(ua.NodeId.from_string("nsu=urn:plant;s=Temperature"), TEMPERATURE))
+    (asked,) = decode(("in", request))
+    assert [node["node_id"] for node in asked["nodes"]] == ["nsu=urn:plant;s=Temperature", "ns=2;s=Temperature"]
+
+
 def test_a_read_and_its_answer_are_described() -> None:
     answer = ua.ReadResponse()
     bad = ua.StatusCode(ua.StatusCodes.BadNodeIdUnknown)

@@ -86,11 +86,11 @@ class BinaryReader:
         return [element() for _ in range(count)]
 
     def node_id(self) -> str:
-        """Read a NodeId (section 5.2.2.9), written as in section 5.3.1.10; namespace 0 is left out."""
-        return self._node_id(self.unpack("B"))
+        """Read a NodeId (section 5.2.2.9) or an ExpandedNodeId (section 5.2.2.10), written as in section 5.3.1.10.
 
-    def expanded_node_id(self) -> str:
-        """Read an ExpandedNodeId (section 5.2.2.10); a namespace URI replaces the index, a server index is ignored."""
+        Namespace 0 is left out, a namespace URI replaces the index, a server index is ignored. A library may write an ExpandedNodeId where
+        a NodeId belongs, as asyncua does with a node that is named by its namespace URI, and servers do read it.
+        """
         encoding = self.unpack("B")
         text = self._node_id(encoding & 0x3F)
         if encoding & 0x80:
@@ -214,7 +214,7 @@ class BinaryReader:
             14: self.guid,
             16: self.string,
             17: self.node_id,
-            18: self.expanded_node_id,
+            18: self.node_id,
             19: lambda: symbol(self.unpack("I")),
             20: self.qualified_name,
             21: self.localized_text,

@@ -294,16 +294,16 @@ def _browse_result(reader: BinaryReader) -> tuple[str, int]:
 def _reference(reader: BinaryReader) -> None:
     reader.node_id()
     reader.unpack("B")
-    reader.expanded_node_id()
+    reader.node_id()
     reader.qualified_name()
     reader.localized_text()
     reader.unpack("I")
-    reader.expanded_node_id()
+    reader.node_id()
 
 
 def _path_result(reader: BinaryReader) -> dict[str, Any]:
     status = symbol(reader.unpack("I"))
-    reader.array(lambda: (reader.expanded_node_id(), reader.take(4)))
+    reader.array(lambda: (reader.node_id(), reader.take(4)))
     return {"status": status}
 
 
