@@ -19,7 +19,8 @@ from ..plant.endpoint import Endpoint, endpoint_values
 from ..protocols.registry import protocols
 from ..record.consistency import inapplicable_by_steps
 from ..record.reader import StoredItem, StoredRun
-from ..record.schema import SCHEMA, Endpoint as EndpointFacts, Finding, Header, ItemBody, ItemHead, Sample
+from ..record.schema import SCHEMA, Finding, Header, ItemBody, ItemHead, Sample
+from ..record.schema import Endpoint as EndpointFacts
 from ..subject.claims import Claims
 from ..suite.catalogue import all_tasks, suite_digest
 from ..trial.task import Task
