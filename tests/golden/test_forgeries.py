@@ -91,7 +91,7 @@ BELIEVED: Mapping[str, tuple[str, ...]] = {
         f"{_CALL}.envelope.error.(message|field|retryable|outcome)",
         "defect-MU-51 items[].parts[].calls[task].envelope.meta.(attempts|source|started_at)",
         "defect-MU-(99e|52r) items[].parts[].calls[control].envelope.meta.(attempts|source)",
-        "items[].parts[].calls[(setup|recovery)].envelope**",
+        "items[].parts[].calls[(setup|recovery)].(envelope|frames.complaint)**",
         "items[].parts[].calls[*].envelope.data.*",
     ),
     "nothing is derived from it": (
@@ -104,8 +104,9 @@ BELIEVED: Mapping[str, tuple[str, ...]] = {
         "items[].sessions[]",
         "items[].sessions[].(first_stray|inspection|leaks[])",
     ),
-    "the frames had bytes that are no text, or a Python function performed the call": (
-        f"defect-MU-52g {_CALL}.(frames|frames_sha256)**",
+    "the frames were cut off or had bytes that are no text, or a Python function performed the call": (
+        f"defect-MU-(52g|77l) {_CALL}.(frames|frames_sha256)**",
+        f"{_CALL}.frames.faults[].evidence",
         f"foreign-mqtt-handle {_CALL}.tool",
     ),
     "the device says it of itself, and no later look repeats it": (
@@ -113,9 +114,9 @@ BELIEVED: Mapping[str, tuple[str, ...]] = {
         f"{_LOOK}.changes**",
     ),
     "the entry has no bytes that say it": (
-        "items[].(parts[].device|devices.*.before)[(CONNECTED|DISCONNECTED)].(connection|origin)",
+        "items[].(parts[].device|devices.*.before)[(CONNECTED|DISCONNECTED)].(client_id|connection|origin)",
         "items[].(parts[].device[modbus]|devices.modbus*.before[]).(unit|transaction_id)",
-        f"{_MQTT}.(clean_start|client_id|dup|keepalive|packet_id|payload|protocol_level|qos|retain|session_present|topic|username)",
+        f"{_MQTT}.(clean_start|client_id|connection|direction|dup|keepalive|packet_id|payload|protocol_level|qos|retain|session_present|topic|username)",
         f"{_MQTT}.(filters|reason_codes|will)**",
         f"{_MQTT}.sparkplug",
         f"{_MQTT}.sparkplug.(device|error|metrics[].alias|metrics[].value|seq)",
@@ -123,6 +124,7 @@ BELIEVED: Mapping[str, tuple[str, ...]] = {
         "items[].(parts[].device[dnp3]|devices.dnp3*.before[]).(source|destination)",
         "items[].parts[].device[s7].(called|calling|direction|kind|rack|slot|service)",
         "items[].parts[].device[(profibus|ethernetip)].(master|service|state_changing)",
+        "items[].(parts[].device[ethernetip]|devices.ethernetip*.before[]).(direction|kind)",
     ),
     "a hole: a request that is too short shows fewer members than the entry has": (
         "items[].parts[].device[modbus].pdu",
