@@ -241,7 +241,11 @@ def _of_calls(where: str, found: Sequence[Said], said: Sequence[Said]) -> Iterat
         match = next((other for other in left if _same_question(other, call)), None)
         if match is not None:
             left.remove(match)
-            yield from _differing(f"{where}, call {index} ({call['tool']})", match, call, _OF_CALL)
+            at = f"{where}, call {index} ({call['tool']})"
+            yield from _differing(at, match, call, _OF_CALL)
+            if "frames" in call:
+                shown = match["frames"]["faults"] if "frames" in match else []
+                yield from _of_findings(at, shown, call["frames"]["faults"])
 
 
 def _same_question(one: Said, other: Said) -> bool:

@@ -23,6 +23,9 @@ _MINUTE_NS = 60 * 10**9
 _LINES = {("items",), ("footer",)}
 """Members without which a file has no lines of a record."""
 
+_OF_SESSION = {"register", "register_response", "unregister"}
+"""Kinds of message that open or end a session of EtherNet/IP."""
+
 
 @dataclass(frozen=True, slots=True)
 class Forgery:
@@ -104,7 +107,7 @@ def _sort(inner: object) -> str:
     if not isinstance(inner, dict):
         return ""
     if "t_ns" in inner:
-        return str(inner["kind"] if inner["kind"] in EVENTS else inner.get("protocol", ""))
+        return str(inner["kind"] if inner["kind"] in EVENTS | _OF_SESSION else inner.get("protocol", ""))
     return str(inner["role"]) if "tool" in inner and "role" in inner else ""
 
 

@@ -9,6 +9,7 @@ import gzip
 import json
 import random
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -54,6 +55,9 @@ every kind of look but those of an adapter's own figures."""
 SAMPLED = 60
 """Changes of each record that the fast lane makes; the weekly lane makes all."""
 
+TRIED = 4
+"""Changes of one kind that are made to find one that is believed."""
+
 _CALL = "items[].parts[].calls[*]"
 _ENTRY = "items[].(parts[].device|devices.*.before)[*]"
 _MQTT = "items[].(parts[].device[mqtt]|devices.mqtt*.before[])"
@@ -90,8 +94,8 @@ BELIEVED: Mapping[str, tuple[str, ...]] = {
         f"{_CALL}.envelope.meta.(latency_ms|operation|trace|connection)**",
         f"{_CALL}.envelope.error.(message|field|retryable|outcome)",
         "defect-MU-51 items[].parts[].calls[task].envelope.meta.(attempts|source|started_at)",
-        "defect-MU-(99e|52r) items[].parts[].calls[control].envelope.meta.(attempts|source)",
-        "items[].parts[].calls[(setup|recovery)].envelope**",
+        "defect-MU-(99e|52r) items[].parts[].calls[(control|task)].envelope.meta.(attempts|source)",
+        "items[].parts[].calls[(setup|recovery)].(envelope|frames.complaint)**",
         "items[].parts[].calls[*].envelope.data.*",
     ),
     "nothing is derived from it": (
@@ -101,11 +105,13 @@ BELIEVED: Mapping[str, tuple[str, ...]] = {
     ),
     "only the kit has seen it of the adapter's processes": (
         f"{_LOOK}.(handshake_era.revision|line_sent|stderr|tools)**",
+        "items[].parts[].calls[control].listed",
         "items[].sessions[]",
         "items[].sessions[].(first_stray|inspection|leaks[])",
     ),
-    "the frames had bytes that are no text, or a Python function performed the call": (
-        f"defect-MU-52g {_CALL}.(frames|frames_sha256)**",
+    "the frames were cut off or had bytes that are no text, or a Python function performed the call": (
+        f"defect-MU-(52g|77l) {_CALL}.(frames|frames_sha256)**",
+        f"{_CALL}.frames.faults[].evidence",
         f"foreign-mqtt-handle {_CALL}.tool",
     ),
     "the device says it of itself, and no later look repeats it": (
@@ -113,16 +119,18 @@ BELIEVED: Mapping[str, tuple[str, ...]] = {
         f"{_LOOK}.changes**",
     ),
     "the entry has no bytes that say it": (
-        "items[].(parts[].device|devices.*.before)[(CONNECTED|DISCONNECTED)].(connection|origin)",
+        "items[].(parts[].device|devices.*.before)[(CONNECTED|DISCONNECTED)].(client_id|connection|origin)",
         "items[].(parts[].device[modbus]|devices.modbus*.before[]).(unit|transaction_id)",
-        f"{_MQTT}.(clean_start|client_id|dup|keepalive|packet_id|payload|protocol_level|qos|retain|session_present|topic|username)",
+        f"{_MQTT}.(clean_start|client_id|connection|direction|dup|keepalive|packet_id|payload|protocol_level|qos|retain|session_present|topic|username)",
         f"{_MQTT}.(filters|reason_codes|will)**",
         f"{_MQTT}.sparkplug",
         f"{_MQTT}.sparkplug.(device|error|metrics[].alias|metrics[].value|seq)",
         "items[].(parts[].device[opcua]|devices.opcua*.before[]).(nodes|results|service_result)**",
         "items[].(parts[].device[dnp3]|devices.dnp3*.before[]).(source|destination)",
-        "items[].parts[].device[s7].(called|calling|direction|kind|rack|slot|service)",
-        "items[].parts[].device[(profibus|ethernetip)].(master|service|state_changing)",
+        "items[].(parts[].device[s7]|devices.s7*.before[]).(called|calling|direction|kind|rack|slot|service)",
+        "items[].(parts[].device[profibus]|devices.profibus*.before[]).(master|service|state_changing|station)",
+        "items[].(parts[].device[ethernetip]|devices.ethernetip*.before[]).service",
+        "items[].(parts[].device|devices.ethernetip*.before)[(register|register_response|unregister)].(direction|frame|kind|service)",
     ),
     "a hole: a request that is too short shows fewer members than the entry has": (
         "items[].parts[].device[modbus].pdu",
@@ -205,9 +213,11 @@ def test_a_record_with_any_leaf_changed_is_refused(name: str, tmp_path: Path) ->
 @pytest.mark.weekly
 def test_a_change_of_each_place_on_the_list_is_believed(tmp_path: Path) -> None:
     open_places = {*_PATTERNS}
+    tried: Counter[tuple[str, str, str]] = Counter()
     for name in RECORDS:
         for forgery in forgeries(forged(name)):
             place = believed(name, forgery.place)
-            if place in open_places and _is_verified(forgery.applied(forged(name)), tmp_path):
+            tried[kind := (name, forgery.place, forgery.what)] += 1
+            if place in open_places and tried[kind] <= TRIED and _is_verified(forgery.applied(forged(name)), tmp_path):
                 open_places.remove(place)
     assert open_places == set()

@@ -40,7 +40,8 @@ def append(writer: RunWriter, entry: dict[str, Any]) -> None:
 
 
 def footer(samples: int, items: int) -> Footer:
-    return {"complete": True, "reason": None, "items": items, "samples": samples, "verdict": "CONFORMANT"}
+    counts = {"items": items, "samples": samples, "tool_calls": count_calls(ITEMS)}
+    return cast(Footer, {"complete": True, "reason": None, **counts, "verdict": "CONFORMANT"})
 
 
 def begun(tmp_path: Path) -> tuple[Path, RunWriter]:
@@ -342,6 +343,15 @@ def first(record: dict[str, Any]) -> dict[str, Any]:
             r"deadline_s: expected `float` <= 300",
         ),
         (lambda record: first(record).update(began_ns=9, ended_ns=8), "M1 ended before it began"),
+        (
+            lambda record: record["footer"].pop("tool_calls"),
+            "the footer of a run that has ended does not count its tool_calls",
+        ),
+        (
+            lambda record: record["footer"].update(reason="later"),
+            "has a reason in its footer if, and only if, it is not",
+        ),
+        (lambda record: record["settings"]["suites"].append("fault"), "the settings ask for the suite 'fault' twice"),
     ],
 )
 def test_a_record_that_contradicts_itself_is_refused(tmp_path: Path, change: Change, reason: str) -> None:
