@@ -117,6 +117,7 @@ def test_a_file_of_the_suite_can_be_named_by_its_path_on_two_workers(repository:
     assert "VERDICT: INCOMPLETE" in outcome.output
 
 
+@pytest.mark.long
 def test_the_time_of_a_run_counts_from_the_beginning_of_the_session(repository: Repository) -> None:
     repository.subject()
     # The conftest sets the monotonic clock forward: according to it, the session began 1000 seconds ago.

@@ -129,6 +129,7 @@ def test_an_adapter_that_fills_the_temporary_directory_gets_its_finding(empty_re
     assert "VERDICT: CONFORMANT (" not in outcome.output
 
 
+@pytest.mark.long
 def test_live_logs_show_the_words_of_an_adapter_marked(empty_repository: Repository) -> None:
     outcome = attacked(
         empty_repository, "forges-lines", *SUITE, "-o", "log_cli=true", "-o", "log_cli_level=DEBUG", "-rA"

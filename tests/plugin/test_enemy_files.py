@@ -74,6 +74,7 @@ BOTH = pytest.mark.parametrize("work", [verified, reported])
 # -- time and memory ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_regular_expression_that_never_ends_is_ended(run: Record, tmp_path: Path) -> None:
     ping(run).update(path="meta.request_id", regex="^(([0-9a-z])+.?)+[!]")
     forged = store(tmp_path / "run.json", run, recount=True)

@@ -237,6 +237,7 @@ HANGS = "import time\n" + PROSE.replace(
 )
 
 
+@pytest.mark.long
 def test_what_a_bad_argument_did_to_a_session_is_not_taken_for_what_an_outage_does(proposed: Proposed) -> None:
     told, adapter = proposed(HANGS, "modbus", "PLC")
     assert "write_holding   set_register (proven" in told

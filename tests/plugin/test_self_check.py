@@ -46,6 +46,7 @@ def test_a_defect_that_does_not_exist_ends_in_a_sentence(tmp_path: Path) -> None
     assert "no defect and no area 'MU-9999'" in sentence(done)
 
 
+@pytest.mark.long
 def test_defects_whose_library_is_missing_are_left_out_with_the_extra_that_brings_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -115,7 +115,9 @@ MANNERS: dict[str, dict[str, str]] = {
 }
 
 
-@pytest.mark.parametrize("protocol", OWN)
+@pytest.mark.parametrize(
+    "protocol", [pytest.param(name, marks=() if name in ("modbus", "mqtt") else pytest.mark.long) for name in OWN]
+)
 @pytest.mark.parametrize(
     "manner", [pytest.param(name, marks=() if name == "misspelt" else pytest.mark.long) for name in MANNERS]
 )

@@ -54,6 +54,7 @@ def test_the_finding_says_what_the_process_did(judge: Judge, mode: str, expected
     assert re.search(expected, words(results), re.DOTALL), words(results)
 
 
+@pytest.mark.long
 def test_an_adapter_that_hangs_in_its_handshake_is_waited_for_once(judge: Judge) -> None:
     results = judge("modbus", command=rogue("hangs-in-initialize"), tasks="M1 M2 M3 FM1", time_scale=0.15)
     assert failing(results) == {"M1", "M2", "M3", "FM1"}
