@@ -52,7 +52,7 @@ def _leaks(text: str) -> object:
 
 def _named(text: str) -> object:
     attempt: Any = SimpleNamespace(reply=SimpleNamespace(envelope={"text": text}))
-    at: Any = SimpleNamespace(device_url="modbus+tcp://127.0.0.1:1")
+    at: Any = SimpleNamespace(device=SimpleNamespace(url="modbus+tcp://127.0.0.1:1"))
     return proving._named(at, [attempt])
 
 

@@ -172,7 +172,7 @@ DEFECTS: tuple[Defect, ...] = (
         "A list of one value is the value.",
         scalar_for_one("read_multiple_holding_registers"),
         "ENV-001 ENV-002 ENV-003 ENV-004 ENV-005 ENV-006 ENV-007 ENV-008",
-        "ENV-008 MCP-006 RD-001 REC-001",
+        "ENV-008 MCP-006 MCP-007 RD-001 REC-001",
     ),
     defect("MU-26b", "opcua", "attempts is always 1.", meta(one_attempt), "ENV-002 ENV-003 ENV-005", "ENV-005"),
     defect("MU-26c", "modbus", "A repeated read counts as one attempt.", counts_calls, "ENV-005"),
