@@ -167,7 +167,7 @@ class Further(Tasks):
     def _told(self, steps: Generic, told: Mapping[str, str] | None = None) -> Generic:
         """Return steps whose docstring is about this protocol."""
         if steps.__doc__ is None:
-            # Python leaves docstrings out where it is told to (-OO), as certificates are examined.
+            # With PYTHONOPTIMIZE=2 there are no docstrings.
             return steps
         parts = {**asdict(explanation(steps)), **(told or {})}
         asked, *others = (f"{name.title()}: {text}" for name, text in parts.items() if text)
