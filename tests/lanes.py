@@ -36,8 +36,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Generator[None]:
-    """Deselect the other lanes before, and the other shards after everything else has selected."""
+    """Deselect the other lanes before, and the other shards after everything else has selected; put what takes longest first."""
     _keep(config, items, _of_lane(config, items))
+    # Making a certificate takes minutes, and a lane is over when its last test is: what waits for one begins.
+    items.sort(key=lambda item: "certified" not in getattr(item, "fixturenames", ()))
     yield
     part, _, parts = config.option.shard.partition("/")
     # One by one, because neighbours take about the same time.

@@ -134,7 +134,7 @@ class Device(Protocol):
     async def poke(self, **params: object) -> None:
         """Set a value out of band."""
 
-    async def furnish(self, furniture: Sequence[Mapping[str, object]]) -> None:
+    async def preset(self, presets: Sequence[Mapping[str, object]]) -> None:
         """Give it by pokes what has to be there for an adapter: now, and again whenever it was started or reset.
 
         A device of the user's own has what it has.

@@ -118,7 +118,7 @@ class MockDevice:
         self._stderr: asyncio.Task[bytes] | None = None
         self._died: KitError | None = None
         self._journal = self._new_journal()
-        self._furniture: Sequence[Mapping[str, object]] = ()
+        self._presets: Sequence[Mapping[str, object]] = ()
         self.endpoints: Mapping[str, Endpoint] = {}
         self.running = False
         self.faulty = False
@@ -126,8 +126,7 @@ class MockDevice:
         self.sessions = Sessions()
 
     def _new_journal(self) -> DeviceJournal:
-        known = protocols()
-        described = known.get(self._name) or next((one for one in known.values() if one.mock == self._mock), None)
+        described = protocols().get(self._name)
         framing = None if described is None else described.framing
         return DeviceJournal(None if framing is None else framing.conversation)
 
@@ -249,12 +248,12 @@ class MockDevice:
         await self._command("start")
         self.faulty = False
         await self._ready()
-        await self.furnish(self._furniture)
+        await self.preset(self._presets)
 
-    async def furnish(self, furniture: Sequence[Mapping[str, object]]) -> None:
+    async def preset(self, presets: Sequence[Mapping[str, object]]) -> None:
         """Give it by pokes what has to be there for an adapter: now, and again whenever it was started or reset."""
-        self._furniture = furniture
-        for poke in furniture:
+        self._presets = presets
+        for poke in presets:
             await self.poke(**poke)
 
     async def _command(self, word: str) -> None:
@@ -375,7 +374,7 @@ class MockDevice:
         await self.ask("reset")
         self.faulty = False
         await self.ask("pause")
-        await self.furnish(self._furniture)
+        await self.preset(self._presets)
 
     async def tick(self, steps: int = 1) -> None:
         """Advance the simulation by ``steps`` seconds of plant time."""

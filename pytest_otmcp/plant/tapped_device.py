@@ -176,7 +176,7 @@ class TappedDevice:
         self.tap.inject(*([rule] if seconds else ()))
         self.faulty = bool(seconds)
 
-    async def furnish(self, furniture: Sequence[Mapping[str, object]]) -> None:
+    async def preset(self, presets: Sequence[Mapping[str, object]]) -> None:
         """Leave it as it is: a device of the user's own has what it has."""
 
     async def reset(self) -> None:

@@ -254,7 +254,7 @@ def _declares_nothing(operation: str, effect: Mapping[str, str]) -> Mapping[str,
     return {}
 
 
-def _nothing_beforehand(declared: Declared) -> Sequence[Mapping[str, object]]:
+def _no_presets(declared: Declared) -> Sequence[Mapping[str, object]]:
     return ()
 
 
@@ -286,7 +286,7 @@ class OtProtocol:
         lists: further keys in a subject file whose values are lists of strings, each with its meaning.
         declares: returns what a named command adds to these lists, from the operation that it performs and the texts of its effect, with
             ``+`` in the place of each level, between slashes, that an argument has a part in.
-        beforehand: returns the pokes by which a mock gets what these lists say is there before an adapter comes.
+        presets: returns the pokes by which a mock gets what these lists say is there before an adapter comes.
         covers: tells whether a call with one value of an input, of this name, is about all that another one with another value is about.
         framing: decoding of recorded frames; None where the mock says itself what each message is, and no tap can be the witness.
         unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
@@ -351,7 +351,7 @@ class OtProtocol:
     choices: tuple[Choice, ...] = ()
     lists: Mapping[str, str] = field(default_factory=dict)
     declares: Callable[[str, Mapping[str, str]], Mapping[str, Sequence[str]]] = _declares_nothing
-    beforehand: Callable[[Declared], Sequence[Mapping[str, object]]] = _nothing_beforehand
+    presets: Callable[[Declared], Sequence[Mapping[str, object]]] = _no_presets
     covers: Callable[[str, object, object], bool] = _nothing_wider
     framing: Framing | None = None
     onboarding: str | None = None

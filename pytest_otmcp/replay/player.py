@@ -20,7 +20,7 @@ from ..trial.ledger import Ledger
 from ..trial.player import OBSERVING, FreshSession, Player
 from ..trial.reply import Reply
 from ..trial.rig import EndedError, Entry, adapter_name
-from ..trial.stated import Stated
+from ..trial.subject_in_rig import SubjectInRig
 from .device import DeviceHistory
 from .reply import HistoryError, recorded_reply
 
@@ -53,7 +53,7 @@ class RecordedAdapter:
     ) -> None:
         self.protocol = protocol
         self.facts = facts
-        self.stated = Stated(protocol, facts, claims)
+        self.stated = SubjectInRig(protocol, facts, claims)
         self.bindings = bindings
         self.deadline_s = facts["deadline_s"] * time_scale
 
@@ -244,7 +244,7 @@ class StoredPlayer(Player):
     async def ask(
         self, kind: str, question: Callable[[AdapterUnderTest], Awaitable[T]], *, spent: str = OBSERVING
     ) -> T:
-        return cast(T, self._seen(kind)[kind])  # type: ignore[literal-required]
+        return cast(T, cast(Mapping[str, Any], self._seen(kind))[kind])
 
     async def act(self, deed: Callable[[AdapterUnderTest], Awaitable[None]]) -> None:
         pass
@@ -258,7 +258,7 @@ class StoredPlayer(Player):
 
     async def entries(self, kind: str, since: int) -> tuple[list[Entry], int]:
         seen = self._seen(kind)
-        end = seen[kind]  # type: ignore[literal-required]
+        end = cast(Mapping[str, Any], seen)[kind]
         if kind == "session_journal":
             begin, end = end
             if begin != since:

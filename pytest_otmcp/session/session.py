@@ -56,6 +56,7 @@ class SessionOptions:
         pace: the adapter's limit of calls; None without one.
         allowance: the room for its answers to calls.
         secrets: what the adapter must not tell.
+        work: the adapter's working folder; empty where it has none. Sentences call it ``{work}``, as a subject file does.
     """
 
     era: str = "auto"
@@ -65,6 +66,7 @@ class SessionOptions:
     pace: Pace | None = None
     allowance: Allowance = field(default_factory=Allowance)
     secrets: SecretSearch = field(default_factory=SecretSearch)
+    work: str = ""
 
 
 class McpSession:
@@ -425,10 +427,14 @@ class McpSession:
     # -- descriptions -------------------------------------------------------------------------------------
 
     def _command_line(self) -> str:
-        return _without_home(" ".join(self._command))
+        return self._anywhere(" ".join(self._command))
+
+    def _anywhere(self, text: str) -> str:
+        """Return a text without what is of this machine and of this session, so that it tells equal failures alike."""
+        return _without_home(text.replace(self._options.work, "{work}") if self._options.work else text)
 
     def _stderr_excerpt(self) -> str:
-        tail = [_without_home(line) for line in self.stderr_tail()]
+        tail = [self._anywhere(line) for line in self.stderr_tail()]
         return "; last stderr lines:\n    " + "\n    ".join(tail) if tail else "; it wrote nothing to stderr"
 
     def _explain_failed_start(self, error: BaseException) -> str:

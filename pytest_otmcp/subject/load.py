@@ -127,7 +127,7 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
     added = declared_by(operations, known)
     lists = {name: (*table[name], *added.get(name, ())) for name in known.lists}
     try:
-        known.beforehand(lists)
+        known.presets(lists)
     except ValueError as error:
         raise Refusal(key, str(error)) from None
     _check_placeholders(table, key, operations)

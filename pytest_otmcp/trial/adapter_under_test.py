@@ -55,7 +55,7 @@ from ..subject.model import (
 from .alteration import Alteration, expanded
 from .cursor import JournalCursor
 from .reply import Expectation, Reply, kept_of, observe, replace_outputs
-from .stated import Stated
+from .subject_in_rig import SubjectInRig
 
 __all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "EndedSession"]
 
@@ -172,7 +172,7 @@ class AdapterUnderTest:
         self.first = first
         self.cursor = JournalCursor(adapter.protocol, first)
         claims = Claims.of_subject({adapter.protocol: adapter})
-        self.stated = Stated(adapter.protocol, adapter.facts(), claims, addressed_by=addressed_by(adapter))
+        self.stated = SubjectInRig(adapter.protocol, adapter.facts(), claims, addressed_by=addressed_by(adapter))
 
     @property
     def deadline_s(self) -> float:
@@ -271,6 +271,7 @@ class AdapterUnderTest:
             pace=self._pace,
             allowance=self._allowance,
             secrets=search,
+            work=self._work.name,
             url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
         )
         self._token = new_token()
@@ -333,7 +334,7 @@ class AdapterUnderTest:
         await self.close()
         if self.device.running:
             known = protocols()[self.adapter.protocol]
-            await self.device.furnish(known.beforehand(self.adapter.lists))
+            await self.device.preset(known.presets(self.adapter.lists))
         # Everything that this session does at its device is in the journal from this sequence number on.
         self.cursor.open_session(await self.device.mark() if self.device.running else self.cursor.next)
         try:

@@ -17,7 +17,7 @@ from .alteration import Alteration
 from .cursor import JournalCursor
 from .ledger import Entry, Ledger
 from .reply import Reply
-from .stated import Stated
+from .subject_in_rig import SubjectInRig
 
 if TYPE_CHECKING:
     from .adapter_under_test import AdapterUnderTest
@@ -59,7 +59,7 @@ class Player(ABC):
         took_s: seconds between question and answer of the last look.
     """
 
-    def __init__(self, protocol: str, variant: str, stated: Stated, cursor: JournalCursor) -> None:
+    def __init__(self, protocol: str, variant: str, stated: SubjectInRig, cursor: JournalCursor) -> None:
         self.protocol = protocol
         self.variant = variant
         self.stated = stated

@@ -18,7 +18,7 @@ from ..protocols.journal import JournalEntry
 from ..protocols.proof import ENOUGH_BITS, Question, Way
 from ..protocols.registry import protocols
 from .reply import Reply
-from .stated import Stated
+from .subject_in_rig import SubjectInRig
 
 __all__ = ["ARRIVAL", "Provable", "prove", "why_reachable"]
 
@@ -54,7 +54,7 @@ class Provable(Protocol):
     """An adapter at its device, as far as a proof needs them."""
 
     protocol: str
-    subject: Stated
+    subject: SubjectInRig
 
     @property
     def device(self) -> _Device:

@@ -206,7 +206,7 @@ def test_fixtures_do_not_write_elsewhere(
 
 
 # What certify does is the same on every protocol, and takes minutes: a device, and a broker.
-@pytest.mark.parametrize("protocol", ["modbus", "mqtt"], indirect=True)
+@pytest.mark.parametrize("protocol", ["modbus", pytest.param("mqtt", marks=pytest.mark.weekly)], indirect=True)
 @pytest.mark.long
 def test_certify_does_not_write_elsewhere(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere

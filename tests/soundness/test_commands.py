@@ -157,7 +157,14 @@ def test_named_commands_are_driven_on_every_protocol(judge_foreign: Judge, proto
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("protocol", [one for one in EVERYWHERE if one not in ("bacnet", "profibus")])
+@pytest.mark.parametrize(
+    "protocol",
+    [
+        pytest.param(one, marks=() if one in ("modbus", "mqtt", "opcua") else pytest.mark.weekly)
+        for one in EVERYWHERE
+        if one not in ("bacnet", "profibus")
+    ],
+)
 def test_an_adapter_that_reads_by_operations_and_writes_by_commands_is_accused_of_nothing(
     judge_foreign: Judge, protocol: str
 ) -> None:

@@ -17,7 +17,7 @@ def verdicts(results: Results) -> dict[str, str]:
     return {name: result["status"] for name, result in sorted(results.items())}
 
 
-@pytest.mark.parametrize("name", ["MU-126", "MU-126q"])
+@pytest.mark.parametrize("name", ["MU-126", pytest.param("MU-126q", marks=pytest.mark.weekly)])
 def test_items_in_another_order_have_the_same_verdicts(judge: Judge, name: str) -> None:
     protocol = DEFECTS[name].protocol
     usual = judge(protocol, *DEFECT, name)
@@ -27,7 +27,7 @@ def test_items_in_another_order_have_the_same_verdicts(judge: Judge, name: str) 
 
 ADAPTERS = [
     ("modbus", ("defective.py",), "none"),
-    *((DEFECTS[name].protocol, DEFECT, name) for name in ("MU-126q", "MU-14")),
+    *(pytest.param(DEFECTS[name].protocol, DEFECT, name, marks=pytest.mark.weekly) for name in ("MU-126q", "MU-14")),
 ]
 
 

@@ -76,6 +76,11 @@ def test_what_is_said_of_a_failed_start_does_not_name_the_home_directory(
     assert str(HERE) not in said
 
 
+def test_what_is_said_of_a_failed_start_calls_the_working_folder_by_its_placeholder(judge: Judge) -> None:
+    command = (*rogue("dies-in-initialize"), "{work}/config.json")
+    assert "dies-in-initialize {work}/config.json)" in words(judge("modbus", command=command, tasks="M1"))
+
+
 def test_a_missing_command_is_named(judge: Judge) -> None:
     results = judge("modbus", command=("adapter-of-nobody", "--stdio"), tasks="M1")
     assert "the command 'adapter-of-nobody' was not found" in words(results)

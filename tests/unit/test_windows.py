@@ -16,7 +16,7 @@ from pytest_otmcp.trial.player import Player
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Expectation, Reply, observe
 from pytest_otmcp.trial.rig import Rig
-from pytest_otmcp.trial.stated import Stated
+from pytest_otmcp.trial.subject_in_rig import SubjectInRig
 
 S = 1_000_000_000
 
@@ -29,7 +29,7 @@ class Scripted(Player):
 
     def __init__(self, *answers: tuple[bool, float, float]) -> None:
         adapters = reference_subject().adapters
-        stated = Stated("modbus", adapters["modbus"].facts(), Claims.of_subject(adapters))
+        stated = SubjectInRig("modbus", adapters["modbus"].facts(), Claims.of_subject(adapters))
         super().__init__("modbus", "rw", stated, JournalCursor("modbus"))
         self._answers: Iterator[tuple[bool, float, float]] = iter(answers)
 

@@ -18,7 +18,7 @@ from .host_state import HostState
 from .operations import OPERATIONS
 from .oracle import Publications, Refused, Subscriptions, no_command
 from .proof import PROOF
-from .retained import RETAINED, beforehand
+from .retained import RETAINED, presets
 from .sparkplug_oracle import Births, SparkplugSequence, kept_or_executed, stamps
 from .trace import facts
 
@@ -59,7 +59,7 @@ PROTOCOL = OtProtocol(
         RETAINED: "Messages that other programs have retained on the broker before the adapter comes, each as TOPIC=PAYLOAD.",
     },
     declares=declares,
-    beforehand=beforehand,
+    presets=presets,
     covers=lambda name, kept, asked: name == "filter" and covers(str(kept), str(asked)),
     framing=Framing(frame_length=packet_length, conversation=MqttConversation),
     unsolicited=no_command,

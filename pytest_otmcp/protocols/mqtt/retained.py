@@ -6,13 +6,13 @@ import base64
 
 from ..protocol import Declared
 
-__all__ = ["RETAINED", "beforehand"]
+__all__ = ["RETAINED", "presets"]
 
 RETAINED = "retained"
 """Key of the subject file: messages that the broker holds, each as ``TOPIC=PAYLOAD``."""
 
 
-def beforehand(declared: Declared) -> list[dict[str, object]]:
+def presets(declared: Declared) -> list[dict[str, object]]:
     """Return the pokes by which a broker gets the retained messages that the subject file has.
 
     Raises:

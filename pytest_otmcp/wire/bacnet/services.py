@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypeVar
 
 from ..framing import MalformedError
 from .frames import Apdu, PduType
@@ -30,6 +30,8 @@ __all__ = [
     "who_has",
     "who_is",
 ]
+
+T = TypeVar("T")
 
 PRIORITIES = 16
 """Slots of a priority array."""
@@ -160,19 +162,7 @@ def _read(tags: Tags) -> Asked:
 
 
 def _read_multiple(tags: Tags) -> Asked:
-    found: list[Reference] = []
-    while not tags.at_end:
-        kind, instance = _identifier(tags)
-        if not tags.is_next(1, opening=True):
-            raise Rejected(MISSING_PARAMETER)
-        tags.next()
-        while tags.is_next(0):
-            found.append(_reference(tags, kind, instance, 0))
-        closing = tags.next()
-        if not closing.is_closing or closing.number != 1:
-            raise Rejected(INVALID_TAG)
-    if not found:
-        raise Rejected(MISSING_PARAMETER)
+    found = _of_each_object(tags, _reference)
     return Asked(reads=found, rejected=TOO_MANY_ARGUMENTS if len(found) > _MAX_ELEMENTS else None)
 
 
@@ -183,22 +173,32 @@ def _write(tags: Tags) -> Asked:
 
 
 def _write_multiple(tags: Tags) -> Asked:
-    found: list[Write] = []
+    found = _of_each_object(tags, _written)
+    if len(found) > _MAX_ELEMENTS:
+        return Asked(writes=found, rejected=TOO_MANY_ARGUMENTS)
+    return Asked(writes=found, rejected=OUT_OF_RANGE if any(one.is_rejected for one in found) else None)
+
+
+def _of_each_object(tags: Tags, parsed: Callable[[Tags, int, int, int], T]) -> list[T]:
+    """Return what ``parsed`` makes of each property in the list of each object.
+
+    Raises:
+        Rejected: there is none, or a list is not as the service has it.
+    """
+    found: list[T] = []
     while not tags.at_end:
         kind, instance = _identifier(tags)
         if not tags.is_next(1, opening=True):
             raise Rejected(MISSING_PARAMETER)
         tags.next()
         while tags.is_next(0):
-            found.append(_written(tags, kind, instance, 0))
+            found.append(parsed(tags, kind, instance, 0))
         closing = tags.next()
         if not closing.is_closing or closing.number != 1:
             raise Rejected(INVALID_TAG)
     if not found:
         raise Rejected(MISSING_PARAMETER)
-    if len(found) > _MAX_ELEMENTS:
-        return Asked(writes=found, rejected=TOO_MANY_ARGUMENTS)
-    return Asked(writes=found, rejected=OUT_OF_RANGE if any(one.is_rejected for one in found) else None)
+    return found
 
 
 def _written(tags: Tags, kind: int, instance: int, first: int) -> Write:

@@ -1,4 +1,4 @@
-"""What a subject states of one of its adapters, for those who judge it. The same of a running adapter and of a stored run. Pure."""
+"""The subject of a rig: what it states of the adapter, alike for a running adapter and for a stored run. Pure."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts
 from ..subject.claims import Claims
 
-__all__ = ["Stated"]
+__all__ = ["SubjectInRig"]
 
 T = TypeVar("T")
 
 
-class Stated:
+class SubjectInRig:
     """The statements of a subject file about an adapter.
 
     Args:
