@@ -278,6 +278,7 @@ def test_who_writes_and_claims_no_guard_is_told_before_anything_runs(tmp_path: P
     assert not (tmp_path / "reports").exists()
 
 
+@pytest.mark.long
 def test_what_fails_gets_no_certificate_and_keeps_no_older_one(tmp_path: Path) -> None:
     (tmp_path / "otmcp.toml").write_text(SILENT)
     (tmp_path / "out").mkdir()
@@ -293,7 +294,8 @@ def test_what_fails_gets_no_certificate_and_keeps_no_older_one(tmp_path: Path) -
 
 
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.long
 def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
     empty_repository: Repository, waiting: socket.socket, number: signal.Signals
 ) -> None:

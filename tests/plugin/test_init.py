@@ -320,7 +320,7 @@ def test_tools_of_another_vocabulary_are_proposed_with_the_effect_that_the_devic
     assert "publish" not in adapter.unclaimed
 
 
-QUICK = ("modbus", "mqtt", "opcua")
+QUICK = ("mqtt",)
 ENDPOINTS = {
     "mqtt": ["--env", "MQTT_URL={url}"],
     "opcua": ["--env", "OPCUA_URL={url}"],
@@ -373,6 +373,7 @@ def test_every_tool_of_a_reference_adapter_is_found_and_proven(
     assert "(likely: by its name and its arguments; not called)" in done.stdout
 
 
+@pytest.mark.long
 def test_a_call_that_waits_is_proposed_as_one(otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart) -> None:
     endpoint = ("--env", "BROKER_HOST={host}", "--env", "BROKER_PORT={port}")
     done = otmcp("init", "--protocol", "mqtt", *endpoint, "--", *warm_start.python, str(FOREIGN), "mqtt-collect")
@@ -443,6 +444,7 @@ def test_an_old_server_is_described_beside_another_adapter(otmcp: Otmcp, tmp_pat
     assert "otmcp.toml: exists already" in again.stderr
 
 
+@pytest.mark.long
 def test_a_server_that_waits_for_the_older_handshake_is_told_by_an_option(otmcp: Otmcp, tmp_path: Path) -> None:
     (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
     address = ("--protocol", "modbus", "--file", "address={host} {port}")
@@ -459,7 +461,7 @@ def test_an_era_that_does_not_exist_is_refused(otmcp: Otmcp) -> None:
     assert "--era: invalid choice: '2024' (choose from 'auto', 'legacy')" in done.stderr
 
 
-@pytest.mark.parametrize("era", ["auto", "legacy"])
+@pytest.mark.parametrize("era", ["auto", pytest.param("legacy", marks=pytest.mark.long)])
 def test_the_doctor_says_by_which_handshake_a_server_must_be_addressed(otmcp: Otmcp, tmp_path: Path, era: str) -> None:
     (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
     text = f'''

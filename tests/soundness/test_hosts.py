@@ -42,7 +42,9 @@ OUTAGES = {"sends-it-later": "S11 WR-010.mqtt", "says-sent": "S11 WR-010.mqtt"}
 """Lies that an outage brings to light as well, with the items that have one."""
 
 
-@pytest.mark.parametrize("name", HONEST)
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=() if one == "mqtt-listener" else pytest.mark.long) for one in HONEST]
+)
 def test_an_honest_host_passes_what_is_asked_of_hosts(judge_foreign: Judge, name: str) -> None:
     rows, _ = HONEST[name]
     results = judge_foreign(name, tasks=" ".join(on("mqtt", rows)))
