@@ -94,7 +94,7 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
         if args.subject is not None:
             raise UsageError("give either --subject or a COMMAND")
         env = parse_environment(args.env)
-        protocol = args.protocol or recognise_protocol([*args.command, *env, *env.values()])
+        protocol = args.protocol or recognise_protocol(args.command, env)
         yield describe_launch(
             protocol,
             args.command,

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.cli import main
+from pytest_otmcp.cli.init import recognise_protocol
+from pytest_otmcp.core.errors import UsageError
 from pytest_otmcp.protocols.own import OWN
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.soundness.warm_start import WarmStart
@@ -503,10 +505,24 @@ def test_a_file_that_is_there_is_not_replaced(otmcp: Otmcp, tmp_path: Path) -> N
     assert (tmp_path / "otmcp.toml").read_text(encoding="utf-8") == "mine"
 
 
-def test_a_protocol_that_cannot_be_seen_is_asked_for(otmcp: Otmcp) -> None:
-    done = otmcp("init", "--", "adapter")
-    assert done.returncode == 2
-    assert "names no protocol; say --protocol modbus, mqtt, opcua" in done.stderr
+@pytest.mark.parametrize(
+    ("imports", "said"),
+    [
+        ("import pymodbus", "modbus: "),
+        ("import json", "the command names no protocol, and no known library of one is imported; add --protocol with"),
+        (
+            "import pymodbus, paho.mqtt",
+            "modbus and mqtt: the command or the imports of the adapter name each; add --pro",
+        ),
+    ],
+)
+def test_the_protocol_is_that_of_the_library_that_the_adapter_imports(imports: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "server.py").write_text(imports, encoding="utf-8")
+    try:
+        recognised = f"{recognise_protocol(['python', str(tmp_path / 'server.py')], {'PORT': '{port}'})}: "
+    except UsageError as error:
+        recognised = str(error)
+    assert recognised.startswith(said)
 
 
 def test_an_adapter_that_does_not_start_is_no_proposal(otmcp: Otmcp, tmp_path: Path) -> None:

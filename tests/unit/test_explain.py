@@ -92,6 +92,11 @@ def test_no_line_is_wider_than_the_terminal(
     assert columns - 10 < max(map(len, lines)) <= columns
 
 
+@pytest.mark.parametrize("name", ["M3", "WR-003", "WR-003.modbus", "Bronze", "illegal_address"])
+def test_the_case_of_an_id_does_not_matter(name: str) -> None:
+    assert explained(name.upper()) == explained(name.lower()) == explained(name) != []
+
+
 def test_an_id_with_two_meanings_is_told_twice() -> None:
     assert [one.kind for one in explained("internal_error")] == ["error code", "finding code"]
 
@@ -99,9 +104,8 @@ def test_an_id_with_two_meanings_is_told_twice() -> None:
 @pytest.mark.parametrize(
     ("unknown", "hint"),
     [
-        ("m3", "did you mean M3?"),
         ("WR-03", "WR-003"),
-        ("bronze", "did you mean Bronze?"),
+        ("bronz", "did you mean Bronze?"),
         ("wrong value", "did you mean wrong_value"),
         ("xyzzy", "'otmcp docs' prints the pages items, checks, requirements and codes, which list them all"),
     ],
