@@ -209,9 +209,9 @@ def test_a_mock_serves_until_its_input_closes_whatever_lies_in_the_directory(tmp
 
 
 def test_reports_are_made_again_without_measuring(tmp_path: Path) -> None:
-    done = otmcp("report", str(SAMPLE), "--out", "again", cwd=tmp_path)
+    done = otmcp("report", str(SAMPLE), "--out", "again", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "the reports of" in done.stdout
+    assert json.loads(done.stdout) == {"said": [f"the reports of {SAMPLE} are in again"]}
     made = {str(path.relative_to(tmp_path / "again")) for path in (tmp_path / "again").rglob("*.*")}
     assert {"tables/tab_results.tex", "figures/latency_boxplot.pdf", "report.html", "summary.md"} <= made
 

@@ -486,7 +486,9 @@ result = {{ values = "registers" }}
     assert "old 1.9.4, MCP 2024-11-05, 1 tool" in done.stdout
     assert "a random value went between the mock device and the adapter: it talks to the mock" in done.stdout
     assert "nothing yet" not in done.stdout
-    assert done.stdout.splitlines()[-1] == "all is well, next: pytest --otmcp-reps=3"
+    *_, gaps, last = done.stdout.splitlines()
+    assert gaps.startswith("  not bound, and not declared as unclaimed: ping, read_input, write_holding; ")
+    assert last == "what is bound is well; bind the rest or declare it as unclaimed, then: pytest --otmcp-reps=3"
     addressed = (tmp_path / "addressed").read_text(encoding="utf-8").split()
     advice = "ends at the first request of today's handshake, or never answers it, so it was given that of 2025: say era = 'legacy'"
     if era == "auto":
@@ -612,6 +614,10 @@ def test_the_doctor_without_a_file_examines_the_adapters_that_every_run_has(
     ]
     assert "no subject file otmcp.toml here: these are the reference adapters" in shown.err
     assert shown.out.endswith("all is well, next: otmcp init -- COMMAND, with an adapter of yours\n")
+    assert main(["doctor", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [one["protocol"] for one in found] == [protocol.key for protocol in protocols().values() if protocol.always]
+    assert all(one["well"] and one["not_bound"] == [] for one in found)
 
 
 TELLING = """

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from pytest_otmcp import cli
@@ -90,6 +92,13 @@ def test_no_line_is_wider_than_the_terminal(
     assert cli.main(["explain", "WR-003", "M3", "illegal_address"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert columns - 10 < max(map(len, lines)) <= columns
+
+
+def test_a_program_reads_the_same_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["explain", "--json", "wr-003"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert (found["id"], found["kind"], found["about"]) == ("WR-003", "requirement", requirements()["WR-003"].statement)
+    assert found["parts"]["Source"] == [requirements()["WR-003"].source]
 
 
 @pytest.mark.parametrize("name", ["M3", "WR-003", "WR-003.modbus", "Bronze", "illegal_address"])
