@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from .conftest import IMPATIENT, Judge, failing, passing, words
+from .conftest import IMPATIENT, Judge, failing, lane, passing, words
 
 NO_MQTT = "the subject has no adapter for MQTT"
 NO_OPCUA = "the subject has no adapter for OPC UA"
@@ -194,7 +194,7 @@ LIES = {
 
 @pytest.mark.parametrize(
     ("name", "lie"),
-    [pytest.param(name, lie, marks=() if lie in QUICK[name] else pytest.mark.long) for name, lie in LIES],
+    [pytest.param(name, lie, marks=lane(number, lie in QUICK[name])) for number, (name, lie) in enumerate(LIES)],
 )
 def test_a_lie_fails_exactly_its_tasks(judge_foreign: Judge, name: str, lie: str) -> None:
     tasks, reason = LIES[name, lie]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from .conftest import Judge, failing, passing, requirements, words
+from .conftest import Judge, failing, lane, passing, requirements, words
 from .test_commands import checks_of, on
 
 HONEST = {
@@ -64,7 +64,7 @@ def test_an_honest_host_is_accused_of_nothing(judge_foreign: Judge, name: str) -
 
 
 @pytest.mark.parametrize(
-    ("name", "lie"), [pytest.param(*lie, marks=() if lie in QUICK else pytest.mark.long) for lie in LIES]
+    ("name", "lie"), [pytest.param(*lie, marks=lane(number, lie in QUICK)) for number, lie in enumerate(LIES)]
 )
 def test_a_lie_of_a_host_is_found(judge_foreign: Judge, name: str, lie: str) -> None:
     row, cited = LIES[name, lie]
