@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -384,3 +385,6 @@ def test_what_is_not_claimed_is_printed_with_its_reason(
     assert "modbus: not claimed: ping (it has no such tool)" in told
     assert "mqtt" not in told
     assert {"certificate.json", "badge.json", "badge.svg"} <= set(os.listdir(tmp_path))
+    assert 'It has earned a <a href="certificate.html">certificate</a>.' in (tmp_path / "report.html").read_text()
+    digest = hashlib.sha256((tmp_path / "certificate.json").read_bytes()).hexdigest()
+    assert digest in (tmp_path / "certificate.html").read_text()
