@@ -17,6 +17,7 @@ from typing import TypedDict, cast
 
 from .. import __version__
 from ..core.errors import KitError, NoBindingError, NoHandleError, SubjectError, UsageError
+from ..core.files import new_file
 from ..core.strict_json import parse_strict
 from ..core.text import recorded_name
 from ..plant.device import Device
@@ -263,7 +264,9 @@ class AdapterUnderTest:
         for name, content in launch.files.items():
             file = Path(self._work.name, name)
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(content, encoding="utf-8")
+            # An earlier session of the adapter may have put something else there.
+            with new_file(file) as made:
+                made.write(content.encode())
         options = SessionOptions(
             era="legacy" if self.legacy or self._by_handshake else self.adapter.era or self._options.era,
             start_timeout_s=self.adapter.start_timeout_s * self._options.time_scale,

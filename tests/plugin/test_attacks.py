@@ -83,6 +83,22 @@ def test_samples_that_an_adapter_rewrites_during_its_item_end_the_run(empty_repo
     assert "VERDICT: CONFORMANT (" not in outcome.output
 
 
+def test_a_pipe_in_place_of_the_record_ends_the_run(empty_repository: Repository) -> None:
+    outcome = attacked(
+        empty_repository,
+        "puts-a-pipe-in-place-of-the-record",
+        *SUITE[:2],
+        "--otmcp-suite=normal,requirements",
+        "-k",
+        "[M1] or MCP-010.modbus",
+    )
+    assert outcome.code == 3, outcome.output
+    words = " ".join(outcome.output.split())
+    assert "run.json cannot be written: it is a pipe, a socket, a device or a folder, where a regular file" in words
+    assert "Traceback" not in outcome.output
+    assert "VERDICT: CONFORMANT (" not in outcome.output
+
+
 @contextmanager
 def small_disk(kib: int) -> Iterator[Path]:
     """Mount a disk of this size, which root may."""

@@ -486,6 +486,28 @@ class _(Hostile):
             os.execv(SLEEPER[0], SLEEPER)  # noqa: S606
 
 
+def run_on(seconds: float) -> None:
+    """Fork and end, again and again: no process lives as long as it takes to look at all."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        time.sleep(0.002)
+        if os.fork():
+            os._exit(0)
+    os._exit(0)
+
+
+@kind("rabbits")
+class _(Hostile):
+    def begin(self) -> None:
+        for _ in range(6):
+            if os.fork() == 0:
+                os.setsid()
+                null = os.open(os.devnull, os.O_RDWR)
+                for descriptor in range(3):
+                    os.dup2(null, descriptor)
+                run_on(60)
+
+
 @kind("forks-when-it-ends")
 class _(Hostile):
     def end(self) -> None:
@@ -579,6 +601,15 @@ class _(Hostile):
                         changed = file.read().replace(b'"FAIL"', b'"PASS"').replace(b'"ok": false', b'"ok": true ')
                         file.seek(0)
                         file.write(changed)
+        say(id=identifier, result=answer())
+
+
+@kind("puts-a-pipe-in-place-of-the-record")
+class _(Hostile):
+    def call(self, identifier: Any) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink("reports/latest/run.json")
+            os.mkfifo("reports/latest/run.json")
         say(id=identifier, result=answer())
 
 
