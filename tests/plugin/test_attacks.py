@@ -99,6 +99,15 @@ def test_a_pipe_in_place_of_the_record_ends_the_run(empty_repository: Repository
     assert "VERDICT: CONFORMANT (" not in outcome.output
 
 
+def test_files_that_an_adapter_plants_are_told(empty_repository: Repository) -> None:
+    outcome = attacked(empty_repository, "plants-files")
+    assert outcome.code == 1, outcome.output
+    what = {"conftest.py": "made", "otmcp.toml": "changed", "matplotlibrc": "made"}
+    assert {
+        f"{name} was {how} during the run; look at it before anything else is run here" for name, how in what.items()
+    } <= {*outcome.narrowed}
+
+
 @contextmanager
 def small_disk(kib: int) -> Iterator[Path]:
     """Mount a disk of this size, which root may."""
