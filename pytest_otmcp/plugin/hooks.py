@@ -402,7 +402,8 @@ def _writable(recorder: RunRecorder) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        cure = exhausted(error) or error.strerror or str(error)
+        if (cure := exhausted(error)) is None:
+            cure = f"{error.strerror or error}; an adapter can do that to the files of a report directory"
         pytest.exit(f"{recorder.path} cannot be written: {cure}", returncode=ExitCode.INDETERMINATE)
 
 

@@ -11,8 +11,10 @@ import json
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -588,6 +590,29 @@ class _(Hostile):
                 with contextlib.suppress(OSError):
                     os.kill(number, signal.SIGKILL)
         say(id=identifier, result=answer())
+
+
+@kind("moves-the-report-directory")
+class _(Hostile):
+    def call(self, identifier: Any) -> None:
+        if os.path.isdir("reports"):
+            os.rename("reports", "elsewhere")
+        say(id=identifier, result=answer())
+
+
+@kind("floods-the-device")
+class _(Hostile):
+    """Answers truthfully but sends requests by four connections meanwhile, as fast as it can."""
+
+    def begin(self) -> None:
+        def flood() -> None:
+            there = socket.create_connection((os.environ["MODBUS_HOST"], int(os.environ["MODBUS_PORT"])))
+            threading.Thread(target=lambda: [None for _ in iter(lambda: there.recv(1 << 16), b"")], daemon=True).start()
+            while True:
+                there.sendall(bytes.fromhex("0001 0000 0006 01 03 0001 0001") * 2000)
+
+        for _ in range(4):
+            threading.Thread(target=flood, daemon=True).start()
 
 
 @kind("rewrites-the-record")
