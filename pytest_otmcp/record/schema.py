@@ -208,10 +208,12 @@ class StoredBinding(TypedDict):
 
 
 class ToolListing(TypedDict):
-    """What ``tools/list`` says of a tool, as far as it is judged: as it came, whatever its shape."""
+    """What ``tools/list`` says of a tool, as far as it is judged: as it came, whatever its shape. ``twice``: there is another entry of
+    this name, which says the same (``alike``) or not (``other``); this is the first."""
 
     inputSchema: Any
     annotations: Any
+    twice: NotRequired[Literal["alike", "other"]]
 
 
 class CallLimit(TypedDict):
