@@ -13,6 +13,9 @@ their transport. Links behave like the transports that they stand for until a fa
 
 A connection that lost bytes in either direction stays dead when the network is open again: no client and no server can go on
 in the middle of a stream. A new connection works.
+
+Whatever the condition, a device takes no more than it can record: a client that floods it waits, as at a device of hardware, and the
+device has time for the others and for its control channel.
 """
 
 from __future__ import annotations
@@ -32,6 +35,12 @@ from .journal import Journal
 from .medium import Medium
 
 __all__ = ["AT_ONCE", "MANNERS", "Link", "Mangling", "Manner", "Network"]
+
+_BURST = 20_000
+_PER_S = 2_500
+"""Records of the journal, and records per second: more than any item of the suite makes of an adapter that does what it is asked for."""
+_PIECE = 8192
+"""Bytes that are handed over at once: some hundred requests."""
 
 _HEX = re.compile("(?:[0-9a-f]{2})*")
 
@@ -126,6 +135,8 @@ class Network(Medium):
     def __init__(self, journal: Journal) -> None:
         super().__init__(journal)
         self.links: set[Link] = set()
+        self._allowance = float(_BURST)
+        self._recorded, self._counted_s = journal.next, 0.0
 
     def protocol(self, factory: Callable[[], asyncio.Protocol]) -> Callable[[], asyncio.Protocol]:
         """Return the factory for a listener whose connections this factory serves."""
@@ -134,6 +145,14 @@ class Network(Medium):
     def _changed(self) -> None:
         for link in list(self.links):
             link.changed()
+
+    def overdrawn_s(self) -> float:
+        """Return for how many seconds the device takes no further requests; 0 unless it is flooded."""
+        now, recorded = asyncio.get_running_loop().time(), self._journal.next
+        refilled = self._allowance + (now - self._counted_s) * _PER_S
+        self._allowance = min(_BURST, refilled) - (recorded - self._recorded)
+        self._recorded, self._counted_s = recorded, now
+        return max(0.0, -self._allowance / _PER_S)
 
     def lost(self, link: Link, count: int) -> None:
         """Record bytes that a client sent and that never reached the device."""
@@ -202,7 +221,8 @@ class Link(asyncio.Transport):
         # What waits behind a drip, or until the network is open; None stands for the end of the connection.
         self._waiting: deque[tuple[bytes, float] | None] = deque()
         self._timer: asyncio.TimerHandle | None = None
-        self._stalled = False
+        self._untaken = bytearray()
+        self._held: set[str] = set()
         self._closing = False
 
     # -- what the network does ----------------------------------------------------------------------------
@@ -211,19 +231,38 @@ class Link(asyncio.Transport):
         """Follow the condition of the network."""
         stalled = self._network.condition == "stalled"
         if stalled != self._stalled:
-            self._stalled = stalled
-            if stalled:
-                self._transport.pause_reading()
-            else:
-                self._transport.resume_reading()
+            self._hold("stalled", stalled)
+            if not stalled:
                 self._go_on()
+
+    @property
+    def _stalled(self) -> bool:
+        return "stalled" in self._held
+
+    def _hold(self, reason: str, held: bool) -> None:
+        """Read and hand over nothing as long as there is a reason."""
+        (self._held.add if held else self._held.discard)(reason)
+        self._take()
+        (self._transport.pause_reading if self._held else self._transport.resume_reading)()
 
     def received(self, data: bytes) -> None:
         """Hand over bytes of the client, or lose them."""
-        if not self.carries():
-            self._network.lost(self, len(data))
-        elif self._above is not None:
-            self._above.data_received(data)
+        self._untaken += data
+        self._take()
+
+    def _take(self) -> None:
+        """Hand over what has arrived, piece by piece, as long as the device can take it."""
+        while self._untaken and not self._held:
+            if wait_s := self._network.overdrawn_s():
+                self._hold("pace", True)
+                asyncio.get_running_loop().call_later(wait_s, self._hold, "pace", False)
+                return
+            piece = bytes(self._untaken[:_PIECE])
+            del self._untaken[:_PIECE]
+            if not self.carries():
+                self._network.lost(self, len(piece))
+            elif self._above is not None:
+                self._above.data_received(piece)
 
     def die(self) -> None:
         """Lose everything from now on, in both directions."""
@@ -234,6 +273,7 @@ class Link(asyncio.Transport):
         """Tell the device that the connection has ended, unless it ended it itself."""
         if self._timer is not None:
             self._timer.cancel()
+        self._untaken.clear()
         above, self._above = self._above, None
         if above is not None:
             above.connection_lost(exc)
@@ -353,11 +393,10 @@ class Link(asyncio.Transport):
             self._transport.write_eof()
 
     def pause_reading(self) -> None:
-        self._transport.pause_reading()
+        self._hold("device", True)
 
     def resume_reading(self) -> None:
-        if not self._stalled:
-            self._transport.resume_reading()
+        self._hold("device", False)
 
     def is_reading(self) -> bool:
         return self._transport.is_reading()

@@ -2,7 +2,8 @@
 
 The kernel knows which socket is at the other end (sock_diag(7)), and ``/proc`` which process holds it. To ask the kernel for one
 socket takes 10 microseconds; ``/proc/net/tcp``, which libraries read, took 4 milliseconds on the same machine. A process that
-was found once is looked at first the next time; only when none of those holds the socket, all processes are looked at.
+was found once is looked at first the next time, where its next descriptor would be; only when none of those holds the socket, all
+processes are looked at.
 """
 
 from __future__ import annotations
@@ -33,6 +34,11 @@ _ANY_COOKIE = b"\xff" * 8
 _INODE_AT = _HEADER.size + 4 + 48 + 16
 _TOKEN = b"OTMCP_SESSION="
 _MOST_KNOWN = 32
+_NEXT = 4
+"""A process that opens one connection after the other gets one of the next descriptors for each."""
+_MOST_LOOKED_AT = 4096
+"""Descriptors of a process, the highest first. Who hides a connection behind more of them gains nothing: what cannot be known counts for the
+adapter."""
 _GET_NUMBER = 0x80045430
 """TIOCGPTN of ioctl_tty(2): the number of the terminal that belongs to a master."""
 
@@ -64,8 +70,13 @@ class _Known:
     process: Process
     place: str
 
-    def at_the_same_place(self, link: str) -> bool:
-        return _link(self.place) == link
+    def near_the_same_place(self, link: str) -> bool:
+        directory, _, number = self.place.rpartition("/")
+        for place in (f"{directory}/{int(number) + further}" for further in range(_NEXT)):
+            if _link(place) == link:
+                self.place = place
+                return True
+        return False
 
     def anywhere(self, link: str) -> bool:
         place = _place(self.process.pid, link)
@@ -148,7 +159,7 @@ def terminal_holder(master: int) -> tuple[Process | None, tuple[int, str | None]
 def _having(link: str, besides: Collection[int] = ()) -> Process | None:
     """Return the process that has a file descriptor which is a link to this; None if none that can be seen has."""
     # A process that connects anew for each request gets the same file descriptor for it.
-    for looked_at in (_Known.at_the_same_place, _Known.anywhere):
+    for looked_at in (_Known.near_the_same_place, _Known.anywhere):
         for key, known in reversed(_known.items()):
             if looked_at(known, link) and _start(known.process.pid) == key[1]:
                 _known.move_to_end(key)
@@ -173,10 +184,11 @@ def _place(pid: int, link: str) -> str | None:
     """Return the file descriptor of a process, as a path, that is this socket; None if it has none."""
     directory = f"/proc/{pid}/fd"
     try:
-        places = [f"{directory}/{number}" for number in os.listdir(directory)]
+        numbers = sorted(map(int, os.listdir(directory)), reverse=True)
     except OSError:
         # It has ended, or it belongs to somebody else.
         return None
+    places = (f"{directory}/{number}" for number in numbers[:_MOST_LOOKED_AT])
     return next((place for place in places if _link(place) == link), None)
 
 

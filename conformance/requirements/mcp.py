@@ -13,6 +13,7 @@ from pytest_otmcp.trial.check import Checks, Generic
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import EndedError, Rig
+from pytest_otmcp.trial.tool_listing import named_twice
 
 from . import generated
 from .provoked import (
@@ -147,7 +148,7 @@ async def schemas_say_what_is_taken(run: Repetition, at: Rig) -> None:
     Why: an assistant that is not told the bounds finds them by failing at the plant.
     """
     listed = await at.session.tools()
-    run.witnessed([fault for name, entry in listed.items() for fault in _listing_faults(name, entry["inputSchema"])])
+    run.witnessed([fault for name, entry in listed.items() for fault in _listing_faults(name, entry)])
     await it_answers(run, at)
     asked, reading = some_write(run, at), exercise(at).read(run.rng)
     bounded = [reading] if at.can_ask(reading.operation, reading.inputs) else []
@@ -171,8 +172,8 @@ async def schemas_say_what_is_taken(run: Repetition, at: Rig) -> None:
             run.judge(reply, [finding])
 
 
-def _listing_faults(name: str, schema: object) -> list[Finding]:
-    problems = []
+def _listing_faults(name: str, entry: Mapping[str, object]) -> list[Finding]:
+    problems, schema = [], entry["inputSchema"]
     if not _NAME.fullmatch(name):
         problems.append(f"the name {name[:140]!r} is none that MCP allows")
     if not isinstance(schema, Mapping) or schema.get("type") != "object":
@@ -180,7 +181,8 @@ def _listing_faults(name: str, schema: object) -> list[Finding]:
     elif (reason := _invalid(schema)) is not None:
         problems.append(f"the inputSchema of {name!r} is no JSON Schema of 2020-12: {reason}")
     return [
-        Finding(code="tool_schema", message=f"tools/list: {problem}", requirement="MCP-003") for problem in problems
+        *(Finding(code="tool_schema", message=f"tools/list: {problem}", requirement="MCP-003") for problem in problems),
+        *named_twice(name, entry),
     ]
 
 

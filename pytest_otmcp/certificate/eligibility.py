@@ -21,7 +21,15 @@ from ..record.schema import Item, Run
 from ..subject.claims import Claims
 from ..trial.task import Task
 
-__all__ = ["MAXIMUM_DEADLINE_S", "MINIMUM_REPS", "exercised", "objections", "unguarded", "unhurried"]
+__all__ = [
+    "MAXIMUM_DEADLINE_S",
+    "MINIMUM_REPS",
+    "exercised",
+    "objections",
+    "slowest_recovery_s",
+    "unguarded",
+    "unhurried",
+]
 
 MINIMUM_REPS = 30
 """Repetitions of the paper's matrix: thirty passes of thirty mean at least 90 % with 95 % confidence, fewer mean less."""
@@ -29,8 +37,17 @@ MINIMUM_REPS = 30
 MAXIMUM_DEADLINE_S = 30
 """The longest deadline of a call: an answer that takes longer is one that nobody waited for."""
 
+MINIMUM_RECOVERY_S = 0.1
+"""The kit calls again after 0.05 s, so it measures no shorter time."""
+
 _INVISIBLE = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 """Unicode categories of control characters, of marks of the reading direction, of lone surrogates and of line separators."""
+
+_EMPTY = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u180b\u180c\u180d\u180f\u2065\u2800\u3164\uffa0")
+"""Characters of other categories that show nothing: Default_Ignorable_Code_Point of Unicode, and the empty Braille pattern. Variation
+selectors are not among them, as they stand behind a letter or a sign."""
+
+_NAMES = ("subject.name", "subject.version")
 
 Tasks = Mapping[str, Task]
 
@@ -50,6 +67,7 @@ def objections(run: Run, tasks: Tasks) -> list[str]:
                 *_settings_objections(run),
                 *unguarded(_claims(run), run["subject"]["adapters"]),
                 *unhurried({protocol: facts["deadline_s"] for protocol, facts in run["subject"]["adapters"].items()}),
+                *_unrecovered(run),
                 *clock_faults(run, run["items"]),
                 *_unprintable(run),
             ]
@@ -123,6 +141,10 @@ def _unprintable(run: Run) -> Iterator[str]:
     for place, text in _texts(told, ""):
         if any(category(letter) in _INVISIBLE for letter in text):
             yield f"{place} has a control character: {text[:80]!r}"
+        elif any(letter in _EMPTY for letter in text):
+            yield f"{place} has a letter that shows nothing: {text[:80]!a}"
+        elif place in _NAMES and not any(category(letter)[0] in "LNPS" for letter in text):
+            yield f"{place} shows nothing: {text[:80]!a}"
 
 
 def _texts(value: object, place: str) -> Iterator[tuple[str, str]]:
@@ -167,6 +189,40 @@ def unhurried(deadlines: Mapping[str, float]) -> Iterator[str]:
             yield (
                 f"{protocol}: its deadline_s of {deadline_s:g} s is above the {MAXIMUM_DEADLINE_S} s that a certificate allows"
             )
+
+
+def _unrecovered(run: Run) -> Iterator[str]:
+    """Name each adapter that took longer to work again than its subject file says, though its items passed: the window is counted to the
+    begin of a call."""
+    for protocol, facts in run["subject"]["adapters"].items():
+        stated_s = facts.get("recovery_s")
+        if stated_s is None:
+            continue
+        if stated_s < MINIMUM_RECOVERY_S:
+            yield f"{protocol}: its recovery_s of {stated_s:g} s is less than the {MINIMUM_RECOVERY_S:g} s that the kit can measure"
+        shown_s = slowest_recovery_s(protocol, run["items"], attempts=2)
+        if shown_s is not None and shown_s > stated_s:
+            yield f"{protocol}: it worked again after {shown_s:g} s, its recovery_s is {stated_s:g} s"
+
+
+def slowest_recovery_s(protocol: str, items: Iterable[Item], *, attempts: int = 1) -> float | None:
+    """Return the longest time in which an adapter worked again in the same session, in seconds; None where no item shows it.
+
+    Args:
+        protocol: of the adapter.
+        items: of the run.
+        attempts: only trials with at least so many calls count.
+    """
+    found = [
+        phases["same_session"]
+        for item in items
+        if item["id"] == f"R-{protocol}"
+        for sample in item["samples"]
+        if (phases := sample["phases"]) is not None
+        and phases["same_session"] is not None
+        and phases["same_session_attempts"] >= attempts
+    ]
+    return round(max(found) / 1000, 4) if found else None
 
 
 def _item_objections(run: Run, tasks: Tasks) -> Iterator[str]:

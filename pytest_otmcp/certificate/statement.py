@@ -19,12 +19,13 @@ from ..core.statistics import lower_bound, proportion_interval
 from ..core.verdict import Status
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, Item, Run
+from ..record.unread import unread_replies
 from ..record.warnings import warnings
 from ..subject.claims import Claims
 from ..suite.levels import said, shown, standings
 from ..suite.requirements import catalogue
 from ..trial.task import Task
-from .eligibility import exercised
+from .eligibility import exercised, slowest_recovery_s
 
 __all__ = ["PREDICATE_TYPE", "STATEMENT_TYPE", "awarded", "certificate", "differences"]
 
@@ -147,6 +148,7 @@ def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict
         "outputs_not_judged": facts["unjudged"],
         "recovery": facts["recovery"],
         "recovery_s": facts["recovery_s"],
+        "recovered_within_s": slowest_recovery_s(protocol, run["items"]),
         "call_limit": facts.get("call_limit"),
         "cached_s": facts["cached"],
         "facets": {"earned": earned, "claimed_not_exercised": not_exercised, "not_claimed": not_claimed},
@@ -162,6 +164,8 @@ def _counts(run: Run) -> dict[str, object]:
         "suites": {suite: _tally(item for item in items if item["suite"] == suite) for suite in SUITES},
         "total": _tally(items),
         "tool_calls": run["footer"]["tool_calls"],
+        # Of what is not in the record as it was on the wire, nothing can be judged again.
+        "replies_not_read_again": unread_replies(items),
     }
 
 

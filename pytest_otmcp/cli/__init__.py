@@ -20,6 +20,7 @@ from ..core.errors import ExhaustedError, KitError, UsageError, place_of
 from ..core.exhaustion import exhausted
 from ..core.text import folded, marked, one_line
 from ..core.verdict import ExitCode
+from ..session.keeper import hide_memory
 
 __all__ = ["Refusal", "add_json", "cut", "main", "show", "show_json", "tell"]
 
@@ -86,6 +87,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
+    # Whatever a command does, an adapter may be running meanwhile, and what is judged or signed is in this process.
+    hide_memory()
     try:
         code = _run(argv)
         sys.stdout.flush()

@@ -8,8 +8,6 @@ directory, without conftest files, and without any plugin but pytest's and the k
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
 import os
 import secrets
 import signal
@@ -20,15 +18,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ..core.errors import KitError, UsageError
+from ..core.errors import UsageError
 from ..core.matrix import SUITES
-from ..core.verdict import ExitCode, Status, decide, exit_code
-from . import Refusal, show, tell
-
-if TYPE_CHECKING:
-    from ..record.schema import Run
+from ..core.verdict import ExitCode
+from . import Refusal, tell
 
 __all__ = ["add_parser", "run"]
 
@@ -81,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
     from ..certificate.eligibility import MINIMUM_REPS, unguarded, unhurried
     from ..subject import load_subject, reference_subject
     from ..subject.claims import Claims
+    from .issue import conclude, write_pages
     from .signature import check_key, sign
 
     if args.sign is not None:
@@ -103,11 +99,10 @@ def run(args: argparse.Namespace) -> int:
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     tell(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})")
-    record, statement = _concluded(out, _run_suite(file, args.reps, out))
-    _write(out, statement)
+    record, statement = conclude(out, _run_suite(file, args.reps, out))
     if args.sign is not None:
         tell(f"{sign(out / 'certificate.json', args.sign).name} is the signature of {args.sign}")
-    _write_pages(out, record, statement, signed=args.sign is not None)
+    write_pages(out, record, statement, signed=args.sign is not None)
     return ExitCode.CONFORMANT
 
 
@@ -182,75 +177,3 @@ def _interruptible() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _concluded(out: Path, ended: int) -> tuple[Run, dict[str, Any]]:
-    """Return the record and its certificate, or say why there is none."""
-    from ..certificate.eligibility import objections
-    from ..certificate.statement import certificate
-    from ..record.condensed import condensed
-    from ..record.reader import RecordError, open_record
-    from ..suite.catalogue import tasks_by_id
-
-    path = out / "run.json"
-    if not path.is_file():
-        if ended in (2, 4):
-            raise UsageError("no certificate: the suite did not begin, for the reason above")
-        raise KitError(f"no certificate: pytest ended with {ended} before anything was recorded")
-    try:
-        with open_record(path) as stored:
-            record, sha256 = condensed(stored), stored.sha256
-    except RecordError as reason:
-        raise Refusal(f"no certificate: {reason}") from None
-    tasks = tasks_by_id(record["subject"]["adapters"], record["settings"]["suites"])
-    if reasons := objections(record, tasks):
-        statuses = {item["id"]: Status(item["status"]) for item in record["items"]}
-        code = exit_code(decide(statuses, tasks), statuses=statuses.values())
-        raise Refusal(f"no certificate: {'; '.join(reasons)}", max(code, ExitCode.NOT_CONFORMANT))
-    return record, certificate(record, sha256, tasks)
-
-
-def _write(out: Path, statement: dict[str, Any]) -> None:
-    from ..certificate.badge import badge, badge_svg
-
-    for name in ("badge.json", "badge.svg", "certificate.json"):
-        # During the run an adapter may have put a link there.
-        (out / name).unlink(missing_ok=True)
-
-    def dumped(document: dict[str, object]) -> str:
-        return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
-
-    (out / "badge.json").write_text(dumped(badge(statement)), encoding="utf-8")
-    (out / "badge.svg").write_text(badge_svg(statement), encoding="utf-8")
-    (out / "certificate.json").write_text(dumped(statement), encoding="utf-8")
-    told = statement["predicate"]["otmcp"]
-    for protocol, adapter in told["adapters"].items():
-        facets = adapter["facets"]
-        tell(
-            f"{protocol}: earned {', '.join(facets['earned']) or 'nothing'}, every call within {adapter['deadline_s']:g} s"
-        )
-        if facets["claimed_not_exercised"]:
-            tell(
-                f"{protocol}: claimed, but nothing applied that needs it: {', '.join(facets['claimed_not_exercised'])}"
-            )
-        for name, reason in facets["not_claimed"].items():
-            tell(f"{protocol}: not claimed: {name} ({reason})")
-    show(f"{told['applied']['items']} of {told['applied']['of']} items applied")
-    show(told["level"]["why"])
-    show(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")
-
-
-def _write_pages(out: Path, record: Run, statement: dict[str, Any], *, signed: bool) -> None:
-    """Write the certificate for people, and the report again, which names it."""
-    from ..report.certificate_page import certificate_page
-    from ..report.html import page
-
-    sha256 = hashlib.sha256((out / "certificate.json").read_bytes()).hexdigest()
-    pages = {
-        "certificate.html": certificate_page(statement, sha256, signed=signed),
-        "report.html": page(record, certificate="certificate.html"),
-    }
-    for name, text in pages.items():
-        (out / name).unlink(missing_ok=True)
-        (out / name).write_text(text, encoding="utf-8", newline="\n")
-    show(f"{out / 'certificate.html'} is the certificate on a page to print")

@@ -23,14 +23,18 @@ from ..core.exhaustion import exhausted
 from ..core.verdict import ExitCode
 from . import Refusal
 
-__all__ = ["Bounds", "confined"]
+__all__ = ["CEILING_S", "Bounds", "confined"]
 
 _MEGABYTE = 1 << 20
 _PROCESSOR_S = 60
 _PROCESSOR_S_PER_MB = 4
 """Seconds of the processor: six times what a record needs that the kit has written."""
+CEILING_S = 300
+"""Seconds of the processor at most, however large the files: a regular expression of a record uses up whatever there is."""
 _PATIENCE = 20
-"""Seconds of the clock for each second of the processor: a machine may be busy, but not for ever."""
+_PATIENCE_S = 900
+"""Seconds of the clock: so many for each second of the processor, and no more than these for the ceiling. A machine may be busy, but not
+for ever."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,9 +50,14 @@ class Bounds:
     processor_s: int = _PROCESSOR_S
 
     @classmethod
-    def of(cls, size: int) -> Bounds:
-        """Return the bounds for records of this many bytes in all."""
-        return cls(processor_s=_PROCESSOR_S + _PROCESSOR_S_PER_MB * (size >> 20))
+    def of(cls, size: int, ceiling_s: int = CEILING_S) -> Bounds:
+        """Return the bounds for records of this many bytes in all, which are not above this ceiling."""
+        return cls(processor_s=min(ceiling_s, _PROCESSOR_S + _PROCESSOR_S_PER_MB * (size >> 20)))
+
+    @property
+    def clock_s(self) -> int:
+        """Seconds of the clock after which the process is ended."""
+        return min(self.processor_s * _PATIENCE, max(_PATIENCE_S, 3 * self.processor_s))
 
     def __str__(self) -> str:
         return f"{self.memory_mb} MB of memory and {self.processor_s} s of the processor"
@@ -72,13 +81,13 @@ def confined(
     command = [sys.executable, "-P", "-m", __name__, str(bounds.memory_mb), str(bounds.processor_s)]
     # Threads of a numerical library would reserve address space that this process does not have.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    beyond = f"refused: {what} cannot be examined within {bounds}, which is plenty for any record of its size"
+    beyond = f"refused: {what} cannot be examined within {bounds}, which is plenty for a record of the kit"
     try:
         done = subprocess.run(
             command,
             input=json.dumps({"work": work, "asked": asked, "what": what}).encode(),
             capture_output=True,
-            timeout=bounds.processor_s * _PATIENCE,
+            timeout=bounds.clock_s,
             env=environment,
             check=False,
         )

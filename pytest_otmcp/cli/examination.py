@@ -9,6 +9,7 @@ import base64
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,15 @@ from .. import __version__
 from ..certificate.eligibility import objections
 from ..certificate.statement import PREDICATE_TYPE, STATEMENT_TYPE, certificate, differences
 from ..core.strict_json import parse_strict
-from ..core.verdict import Status, decide, exit_code
+from ..core.verdict import Status, decide, exit_code, judge_deviations
 from ..protocols.registry import protocols
 from ..record.condensed import condensed
-from ..record.consistency import clock_faults, settings_faults
+from ..record.consistency import clock_faults, header_faults, settings_faults
 from ..record.reader import RecordError, StoredRun, open_record
 from ..record.schema import Kit, Run
 from ..replay.rejudge import rejudge
 from ..subject import comparison, load_subject
+from ..subject.model import Deviation
 from ..suite.catalogue import KIT, identity, kit_digest, suite_digest, tasks_by_id
 from ..trial.task import Task
 from . import Refusal, cut
@@ -104,7 +106,8 @@ def _derived(
         _refuse(f"{certified.name} does not say what the run says", list(differences(told, expected)))
     else:
         _refuse(f"{path} contradicts itself", [*clock_faults(run, run["items"]), *_wrong_verdict(run, tasks)])
-    _refuse(f"{path} contradicts itself", list(settings_faults(run["settings"])))
+    faults = [*settings_faults(run["settings"]), *header_faults(run, datetime.now(UTC)), *_wrong_subject(run, tasks)]
+    _refuse(f"{path} contradicts itself", faults)
     if subject is not None:
         read = load_subject(subject, run=False)
         _refuse(f"{path} is not about {subject}", list(comparison.differences(read, run["subject"])))
@@ -159,6 +162,24 @@ def _wrong_verdict(run: Run, tasks: Mapping[str, Task]) -> Iterator[str]:
     follows = decide({item["id"]: Status(item["status"]) for item in run["items"]}, tasks)
     if run["footer"].get("verdict") != follows:
         yield f"from its items follows {follows}, the footer says {run['footer'].get('verdict')}"
+
+
+def _wrong_subject(run: Run, tasks: Mapping[str, Task]) -> Iterator[str]:
+    """Say in a sentence each what cannot be of the subject of a run."""
+    for protocol, facts in run["subject"]["adapters"].items():
+        known = protocols()[protocol]
+        for name in facts.get("offered", ()):
+            if name not in known.facets or not known.is_voluntary(name):
+                yield f"subject.adapters.{protocol} offers {name!r}, which is no voluntary facet of {known.name}"
+    known_deviations = [
+        Deviation(item=told["item"], reason=told["reason"], expires=date.fromisoformat(told["expires"]))
+        for told in run["subject"]["deviations"]
+    ]
+    statuses = {item["id"]: Status(item["status"]) for item in run["items"]}
+    began = datetime.fromisoformat(run["environment"]["started_at"]).date()
+    follows = judge_deviations(known_deviations, statuses, tasks, began).as_record()
+    if run["footer"].get("deviations", follows) != follows:
+        yield f"from its items follow the deviations {follows}, the footer says {run['footer'].get('deviations')}"
 
 
 def _statement(certificate: Certificate) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..core.errors import UsageError
+from ..core.files import regular
 from . import Refusal
 
 __all__ = ["LARGEST_CERTIFICATE", "LARGEST_RECORD", "content", "size"]
@@ -36,7 +37,7 @@ def content(path: Path, largest: int) -> bytes:
         UsageError, Refusal: those of :func:`size`.
     """
     size(path, largest)
-    with path.open("rb") as file:
+    with open(path, "rb", opener=regular) as file:
         found = file.read(largest + 1)
     if len(found) > largest:
         raise Refusal(f"refused: {path} has more than {largest} bytes")

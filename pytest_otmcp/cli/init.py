@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import SubjectError, UsageError
+from ..core.files import read
 from ..core.library_registry import libraries
 from ..protocols.registry import protocols
 from ..subject.imports import libraries_used
@@ -148,7 +149,7 @@ def _existing(path: Path, protocol: str) -> str | None:
     """
     if not path.exists():
         return None
-    text = path.read_text(encoding="utf-8")
+    text = read(path).decode("utf-8")
     try:
         adapters = tomllib.loads(text)["adapter"]
         there = protocol in adapters

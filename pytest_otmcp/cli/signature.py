@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..core.errors import UsageError
+from ..core.files import read
 from . import Refusal
 
 __all__ = ["NAMESPACE", "check_key", "sign", "signer"]
@@ -100,7 +101,7 @@ def _one_by_one(trust: Path, directory: Path) -> Iterator[Path]:
     names the first of them, and the signature is judged by that line alone.
     """
     yield trust
-    lines = [line for line in trust.read_bytes().splitlines() if line.strip() and not line.lstrip().startswith(b"#")]
+    lines = [line for line in read(trust).splitlines() if line.strip() and not line.lstrip().startswith(b"#")]
     for number, line in enumerate(lines if len(lines) > 1 else []):
         alone = directory / f"signers-{number}"
         alone.write_bytes(line + b"\n")

@@ -15,6 +15,7 @@ from typing import Any
 from ..core.errors import UsageError
 from ..core.text import harmless
 from . import show
+from .confined import CEILING_S
 
 __all__ = ["add_parser", "run"]
 
@@ -42,6 +43,13 @@ def add_parser(subparsers: Any) -> None:
         type=Path,
         help="signers that you trust, as OpenSSH's allowed_signers: CERT.sig must be a signature of one of them",
     )
+    parser.add_argument(
+        "--patience",
+        metavar="SECONDS",
+        type=int,
+        default=CEILING_S,
+        help="processor time for one of the largest records, above some 60 MB (default: %(default)s)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -59,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if args.trust is not None and args.certificate is None:
         raise UsageError("--trust: only a certificate is signed; give CERT and RUN")
     certificate = None if args.certificate is None else content(args.certificate, LARGEST_CERTIFICATE)
-    bounds = Bounds.of(size(args.record, LARGEST_RECORD))
+    bounds = Bounds.of(size(args.record, LARGEST_RECORD), args.patience)
     signed_by = None
     if args.trust is not None and certificate is not None:
         signed_by = signer(certificate, content(_beside(args.certificate), LARGEST_CERTIFICATE), args.trust)

@@ -29,7 +29,8 @@ def _files(name: str, folder: Traversable, excluded: Collection[str]) -> Iterato
     for entry in folder.iterdir():
         if f"{name}/{entry.name}".replace("/", ".") in excluded:
             continue
-        if entry.name.endswith(_KINDS):
+        # What is no file, as a pipe that has taken its place, cannot be read.
+        if entry.name.endswith(_KINDS) and entry.is_file():
             yield f"{name}/{entry.name}", entry
         elif entry.is_dir():
             yield from _files(f"{name}/{entry.name}", entry, excluded)

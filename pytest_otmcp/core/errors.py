@@ -5,8 +5,9 @@
     Exception
     ├── UsageError      the user's: a bad option or file; one sentence, exit code 2
     ├── KitError        ours: a mock died, the plant could not start; the verdict becomes INDETERMINATE
-    │   └── ExhaustedError    the machine's: it has no descriptors, memory, processes or disk left, or another program has
-    │                         taken a port of a mock; one sentence that helps
+    │   ├── ExhaustedError    the machine's: it has no descriptors, memory, processes or disk left, or another program has
+    │   │                     taken a port of a mock; one sentence that helps
+    │   └── MeddledError      somebody's: a part of the kit was killed, stopped or kept from its work, and nobody can show by whom
     ├── SubjectError    the adapter's: it could not start or serve; becomes a Finding, never a traceback
     └── NoBindingError  the subject file's: it does not say how to ask for something that it claims; the item is not testable
 
@@ -19,7 +20,16 @@ from pathlib import Path
 
 from .text import marked
 
-__all__ = ["ExhaustedError", "KitError", "NoBindingError", "NoHandleError", "SubjectError", "UsageError", "place_of"]
+__all__ = [
+    "ExhaustedError",
+    "KitError",
+    "MeddledError",
+    "NoBindingError",
+    "NoHandleError",
+    "SubjectError",
+    "UsageError",
+    "place_of",
+]
 
 
 class UsageError(Exception):
@@ -33,6 +43,11 @@ class KitError(Exception):
 class ExhaustedError(KitError):
     """The machine of the kit has run out of something, or has given a mock's port away; the message says what helps. No bug, so none
     is to be filed."""
+
+
+class MeddledError(KitError):
+    """Somebody has killed or stopped a part of the kit, or keeps it from its work: the adapter may have done so, and nobody can show it.
+    No bug, so none is to be filed."""
 
 
 class SubjectError(Exception):

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from ..core.errors import KitError
+from ..core.errors import MeddledError
 from ..protocols.journal import JournalEntry
 from .endpoint import Endpoint
 from .owners import Sessions
@@ -25,7 +25,10 @@ def check_kept(since: int, first: int) -> None:
         KitError: the oldest of the entries were released, or have given way to newer ones.
     """
     if since < first:
-        raise KitError(f"the journal no longer goes back to entry {since}: the oldest that it holds is {first}")
+        raise MeddledError(
+            f"the journal no longer goes back to entry {since}: the oldest that it holds is {first}; the device was flooded, which an "
+            "adapter can do"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

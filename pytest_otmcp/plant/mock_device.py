@@ -11,12 +11,13 @@ import asyncio
 import contextlib
 import itertools
 import json
+import signal
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..core.errors import ExhaustedError, KitError, SubjectError
+from ..core.errors import ExhaustedError, KitError, MeddledError, SubjectError
 from ..core.exhaustion import exhausted
 from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
@@ -43,6 +44,10 @@ _OCCUPIED = 69
 
 class _ClosedError(KitError):
     """The device has closed its control channel, so it has ended."""
+
+
+_FROM_OUTSIDE = (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGHUP, -signal.SIGINT)
+"""Exit codes of a process that somebody has ended."""
 
 
 class _Control:
@@ -78,7 +83,10 @@ class _Control:
         try:
             reply = await asyncio.wait_for(answer, answer_within_s)
         except TimeoutError:
-            raise KitError(f"the {self._name} mock did not answer {op!r} within {answer_within_s:g} s") from None
+            raise MeddledError(
+                f"the {self._name} mock did not answer {op!r} within {answer_within_s:g} s: it was stopped or flooded, which an adapter can "
+                "do, or this machine is far too busy"
+            ) from None
         finally:
             self._waiting.pop(number, None)
         if not reply.get("ok"):
@@ -176,6 +184,8 @@ class MockDevice:
             raise KitError(f"the {self._name} mock said nothing for {_LAUNCH_TIMEOUT_S:g} s") from None
         if not line and await self._launcher.wait() == _EXHAUSTED:
             raise self._exhausted()
+        if not line and self._launcher.returncode in _FROM_OUTSIDE:
+            raise self._killed()
         if not line:
             stderr = (await self._stderr).decode("utf-8", "replace").strip() if self._stderr else ""
             raise KitError(f"the {self._name} mock ended unexpectedly: {stderr[-800:] or 'nothing on stderr'}")
@@ -193,17 +203,23 @@ class MockDevice:
         """Return why a device that was not asked to stop does not answer any more; its launcher says so once."""
         if self._died is None and self.running:
             try:
-                await self._event("died")
-            except ExhaustedError as error:
+                told = await self._event("died")
+            except (ExhaustedError, MeddledError) as error:
                 self._died = error
             else:
-                self._died = closed
+                self._died = self._killed() if told.get("exit") in _FROM_OUTSIDE else closed
         return self._died or closed
 
     def _exhausted(self) -> ExhaustedError:
         return ExhaustedError(
             f"the {self._name} mock ended because it has no file descriptors or memory left; raise the limits of its processes, "
             "for instance with `ulimit -n 1024`"
+        )
+
+    def _killed(self) -> MeddledError:
+        return MeddledError(
+            f"the {self._name} mock was killed by another program, as an adapter can do, or by the system, which does so when its memory "
+            "runs out"
         )
 
     async def _ready(self) -> None:
@@ -263,6 +279,8 @@ class MockDevice:
         try:
             await self._launcher.stdin.drain()
         except ConnectionError:
+            if await self._launcher.wait() in _FROM_OUTSIDE:
+                raise self._killed() from None
             raise KitError(f"the {self._name} mock is gone; it cannot be told to {word}") from None
 
     async def close(self) -> None:

@@ -47,7 +47,19 @@ from .fixtures.definitions import (
 from .options import add_options, read_settings
 from .parallel import UNFINISHED, ended, untaken
 from .selected import known_rows, refuse, required_tasks, select_adapters
-from .stash import BASELINE, ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
+from .stash import (
+    BASELINE,
+    ENDINGS,
+    INTERFERENCE,
+    PLANNED,
+    PROGRESS,
+    RECORDER,
+    RESULT,
+    RUN,
+    SETTINGS,
+    STARTED,
+    SURROUNDINGS,
+)
 
 if TYPE_CHECKING:
     from ..report.baseline import Baseline
@@ -289,10 +301,15 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 def _begin_recording(config: pytest.Config, selection: Selection, tasks: list[Task], *, workers: int) -> None:
     """Create the recorder and the progress of this run; only the controller has them."""
+    from ..session.keeper import hide_memory
+    from ..suite.catalogue import kit_digest
     from .controller import RunRecorder
     from .interference import Interference
     from .progress import Progress
+    from .surroundings import Surroundings, unknown_startup_files
 
+    # With pytest-xdist this process executes no items, but it decides the verdict.
+    hide_memory()
     _endings(config).install()
     settings = config.stash[SETTINGS]
     interference = config.stash.setdefault(INTERFERENCE, Interference(config))
@@ -307,6 +324,11 @@ def _begin_recording(config: pytest.Config, selection: Selection, tasks: list[Ta
         )
     except UsageError as error:
         refuse(error)
+    with ignore_warnings():
+        interference.note(*unknown_startup_files())
+        config.stash[SURROUNDINGS] = Surroundings(
+            selection.subject.sources(), (config.rootpath, config.invocation_params.dir), kit_digest.__wrapped__
+        )
     config.add_cleanup(config.stash[RECORDER].close)
     config.stash[PROGRESS] = Progress(config, tasks, settings.repetitions, workers=workers)
 
@@ -374,7 +396,8 @@ def _writable(recorder: RunRecorder) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        cure = exhausted(error) or error.strerror or str(error)
+        if (cure := exhausted(error)) is None:
+            cure = f"{error.strerror or error}; an adapter can do that to the files of a report directory"
         pytest.exit(f"{recorder.path} cannot be written: {cure}", returncode=ExitCode.INDETERMINATE)
 
 
@@ -468,6 +491,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
             interference.note(f"the run ended at failure number {limit} (-x or --maxfail)")
         if endings is not None and endings.name is not None:
             _take_from_workers(config, recorder, list(endings.workers.values()))
+        interference.note(*config.stash[SURROUNDINGS].changes())
         with _writable(recorder):
             recorder.finish(interrupted=_interruption(exitstatus, endings))
     session.exitstatus = _exit_status(exitstatus, recorder, session.testsfailed)

@@ -17,6 +17,7 @@ from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import FunctionType, ModuleType
 
+from ..core import files
 from ..suite.catalogue import SHARED_ITEMS, task_modules
 from ..trial.task import Task
 
@@ -56,7 +57,7 @@ def _has_digest(path: Path, recorded: metadata.FileHash | None) -> bool:
     if recorded is None:
         return True
     try:
-        digest = hashlib.new(recorded.mode, path.read_bytes()).digest()
+        digest = hashlib.new(recorded.mode, files.read(path)).digest()
     except OSError:
         return False
     return base64.urlsafe_b64encode(digest).rstrip(b"=").decode() == recorded.value

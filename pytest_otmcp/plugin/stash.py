@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .options import RunSettings
     from .progress import Progress
     from .results import ItemResult
+    from .surroundings import Surroundings
     from .worker import Run
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "SELECTION",
     "SETTINGS",
     "STARTED",
+    "SURROUNDINGS",
 ]
 
 SETTINGS: pytest.StashKey[RunSettings] = pytest.StashKey()
@@ -63,3 +65,6 @@ PROGRESS: pytest.StashKey[Progress] = pytest.StashKey()
 
 RESULT: pytest.StashKey[ItemResult] = pytest.StashKey()
 """On an item: the result of its task, as in ``run.json``."""
+
+SURROUNDINGS: pytest.StashKey[Surroundings] = pytest.StashKey()
+"""On the config of the controller: the files around the run, as they were at its start."""

@@ -140,7 +140,7 @@ class Run:
             raise
 
     def _execute(self, task: Task, loop: LoopThread, bench: Bench) -> ItemResult:
-        from ..core.errors import ExhaustedError
+        from ..core.errors import ExhaustedError, MeddledError
         from ..core.exhaustion import exhausted
         from ..record.writer import SampleSpool
         from ..trial.live_driver import LiveDriver
@@ -163,7 +163,16 @@ class Run:
             # Whoever ends a run twice does not wait for the trial, which ends on the loop's thread.
             with writing:
                 if not told.is_set():
-                    spool.add(self._redactor().apply(sample))
+                    redacted = self._redactor().apply(sample)
+                    try:
+                        spool.add(redacted)
+                    except OSError as error:
+                        if exhausted(error) is not None:
+                            raise
+                        raise MeddledError(
+                            f"the samples of the item cannot be written any more ({error.strerror}): another program has moved or replaced "
+                            "what is in the report directory, as an adapter can do"
+                        ) from error
                     tally.add(sample)
 
         def result(item: ItemBody) -> ItemResult:

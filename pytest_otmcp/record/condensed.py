@@ -1,7 +1,7 @@
 """A run record as reports and certificates need it: in memory, but not every call of every repetition. Pure.
 
-Every sample keeps what is counted (``ok``, duration, phases, findings, and of each call ``ok``, its role and error code). The
-first sample of an item, and the first of each kind of failure, are kept whole: reports show them.
+Every sample keeps what is counted (``ok``, duration, phases, findings, and of each call ``ok``, its role and error code, and the
+frames that nobody can read again). The first sample of an item, and the first of each kind of failure, are kept whole: reports show them.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import cast
 
 from .reader import StoredItem, StoredRun
 from .schema import Call, Item, Run, Sample
+from .unread import is_unread
 
 __all__ = ["condensed"]
 
@@ -40,6 +41,11 @@ def _item(item: StoredItem, shared: dict[tuple[object, ...], Call]) -> Item:
 def _thin(sample: Sample, shared: dict[tuple[object, ...], Call]) -> Sample:
     calls = []
     for call in sample["calls"]:
+        if is_unread(call):
+            # It is counted.
+            kept = ("role", "error_code", "ok", "frames", "frames_sha256")
+            calls.append(cast(Call, {name: dict(call)[name] for name in kept}))
+            continue
         # Thousands of calls have the same counted members, so they share one object.
         told = (call["role"], call["error_code"], call["ok"])
         calls.append(shared.setdefault(told, cast(Call, dict(zip(("role", "error_code", "ok"), told, strict=True)))))

@@ -14,10 +14,24 @@ from ..core.verdict import INEXPRESSIBLE, Status, Verdict, decide
 from .schema import COUNTED, ROLES, Call, Counted, Footer, Header, Item, ItemHead, Sample, Settings
 from .warnings import failing
 
-__all__ = ["Contradiction", "RunChecker", "clock_faults", "count_calls", "inapplicable_by_steps", "tool_calls"]
+__all__ = [
+    "Contradiction",
+    "RunChecker",
+    "clock_faults",
+    "count_calls",
+    "header_faults",
+    "inapplicable_by_steps",
+    "tool_calls",
+]
 
 _ROUNDING = timedelta(seconds=2)
 """Times of the run have whole seconds."""
+_AHEAD = timedelta(hours=1)
+"""So far may two clocks be apart."""
+_MAIN = "main"
+"""The worker of a run without pytest-xdist."""
+_FIRST_STATELESS = "2026-07-28"
+"""The first revision of MCP without ``initialize``: revisions are dates, and compare as text."""
 _DRIFT = 0.001
 """Twice the rate at which a clock is slewed towards a time server, and a margin."""
 
@@ -145,6 +159,25 @@ def _check_once(names: Sequence[str], what: str) -> None:
     twice = next((name for name, number in Counter(names).items() if number > 1), None)
     if twice is not None:
         raise Contradiction(f"{what} {twice!r} twice")
+
+
+def header_faults(header: Header, now: datetime) -> Iterator[str]:
+    """Say in a sentence each what cannot be of a run, whatever its items.
+
+    Args:
+        now: the time at which the record is examined.
+    """
+    finished = header["environment"]["finished_at"]
+    if finished is not None and _moment(finished) > now + _AHEAD:
+        yield f"the run ended at {finished}, and now it is {now.isoformat(timespec='seconds')}"
+    settings = header["settings"]
+    for name, device in header["devices"].items():
+        if (device["worker"] == _MAIN) != (settings["xdist_workers"] == 0):
+            yield f"the settings say {settings['xdist_workers']} workers of pytest-xdist, {name} was {device['worker']}'s"
+    for protocol, facts in header["subject"]["adapters"].items():
+        revision = facts["protocol_version"]
+        if settings["era"] == "legacy" and revision is not None and revision >= _FIRST_STATELESS:
+            yield f"the settings ask for sessions by handshake, that of {protocol} was one of MCP {revision}"
 
 
 def settings_faults(settings: Settings) -> Iterator[str]:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, BinaryIO, cast
 
+from ..core.files import regular
 from ..core.strict_json import parse_strict
 from . import version1
 from .consistency import Contradiction, RunChecker
@@ -143,10 +144,10 @@ def open_record(path: Path, *, allow_incomplete: bool = False, compressed: bool 
 
 def _opened(path: Path, *, compressed: bool) -> IO[bytes]:
     if compressed:
-        with path.open("rb") as file:
+        with open(path, "rb", opener=regular) as file:
             if file.read(len(_GZIP)) == _GZIP:
                 return cast("IO[bytes]", gzip.open(path))
-    return path.open("rb")
+    return open(path, "rb", opener=regular)
 
 
 def load(path: Path, *, allow_incomplete: bool = False) -> Run:

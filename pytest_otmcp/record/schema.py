@@ -85,6 +85,7 @@ Restarts = Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]
 """How often a device was started again: judging again repeats it, so it must be bounded."""
 Nanoseconds = Annotated[int, msgspec.Meta(ge=0)]
 Deadline = Annotated[float, msgspec.Meta(gt=0, le=300)]
+Seconds = Annotated[float, msgspec.Meta(ge=0)]
 Factor = Annotated[float, msgspec.Meta(gt=0)]
 
 Role = Literal["task", "control", "setup", "warmup", "recovery"]
@@ -208,10 +209,12 @@ class StoredBinding(TypedDict):
 
 
 class ToolListing(TypedDict):
-    """What ``tools/list`` says of a tool, as far as it is judged: as it came, whatever its shape."""
+    """What ``tools/list`` says of a tool, as far as it is judged: as it came, whatever its shape. ``twice``: there is another entry of
+    this name, which says the same (``alike``) or not (``other``); this is the first."""
 
     inputSchema: Any
     annotations: Any
+    twice: NotRequired[Literal["alike", "other"]]
 
 
 class CallLimit(TypedDict):
@@ -315,10 +318,10 @@ class Subject(TypedDict):
 class Environment(TypedDict):
     """Place and time of the run; ``finished_at`` is None as long as the run goes on, and for ever when it was killed."""
 
-    python: str
-    platform: str
+    python: Name
+    platform: Name
     cpu_count: Count | None
-    packages: dict[str, str | None]
+    packages: dict[str, Name | None]
     started_at: Instant
     finished_at: Instant | None
 
@@ -336,7 +339,7 @@ class Settings(TypedDict):
     reps: Count
     repetitions: dict[str, Count]
     seed: int
-    era: str
+    era: Literal["auto", "legacy"]
     time_scale: Factor
     soak: NotRequired[bool]
     suites: list[str]
@@ -729,8 +732,8 @@ class Footer(TypedDict):
     tool_calls: NotRequired[dict[Counted, Count]]
     verdict: NotRequired[str]
     deviations: NotRequired[dict[str, list[str]]]
-    elapsed_s: NotRequired[float]
-    breakdown_s: NotRequired[dict[str, float]]
+    elapsed_s: NotRequired[Seconds]
+    breakdown_s: NotRequired[dict[str, Seconds]]
     timing_valid: NotRequired[bool]
     digest: NotRequired[Digest]
 

@@ -14,10 +14,11 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
+from ..core.files import new_file, no_link
 from .schema import Footer, Header, ItemHead, Sample
 
 __all__ = ["ITEMS_LINE", "RunWriter", "SampleSpool", "dump", "laid_out"]
@@ -63,7 +64,7 @@ class SampleSpool:
         """Append a sample."""
         content = (b",\n   " if self._count else b"\n   ") + dump(sample)
         # Unbuffered: what a full disk has torn must not be written again when the file is closed.
-        with self.path.open("ab", buffering=0) as file:
+        with open(self.path, "ab", buffering=0, opener=no_link) as file:
             begin = file.tell()
             try:
                 _write(file.fileno(), begin, content)
@@ -85,11 +86,10 @@ class SampleSpool:
             OSError: at its end, if it is not what was added: an adapter can write wherever its user can.
         """
         digest = hashlib.sha256()
-        if path.is_file():
-            with open(path, "rb", opener=_no_link) as file:
-                for block in _blocks(file.fileno(), 0, path.stat().st_size):
-                    digest.update(block)
-                    yield block
+        with suppress(FileNotFoundError), open(path, "rb", opener=no_link) as file:
+            for block in _blocks(file.fileno(), 0, os.fstat(file.fileno()).st_size):
+                digest.update(block)
+                yield block
         if digest.hexdigest() != expected:
             raise OSError("another program has changed the samples of an item")
 
@@ -115,7 +115,7 @@ class RunWriter:
         self._items: list[_Written] = []
         head = _head(header)
         self._end = len(head)
-        with _new(path) as file:
+        with new_file(path) as file:
             file.write(head + _unfinished(0))
 
     def append(self, item: ItemHead, samples: Iterable[bytes]) -> None:
@@ -131,7 +131,7 @@ class RunWriter:
         head = (b",\n" if self._items else b"") + b"  " + dump(item)[:-1] + b', "samples": ['
         # Unbuffered, so that an interrupted write leaves whole lines before it.
         digest = hashlib.sha256(head.removeprefix(b",\n"))
-        with open(self._path, "r+b", buffering=0, opener=_no_link) as file:
+        with open(self._path, "r+b", buffering=0, opener=no_link) as file:
             descriptor = file.fileno()
             try:
                 at = _write(descriptor, self._end, head)
@@ -159,7 +159,7 @@ class RunWriter:
         fresh = self._path.with_suffix(".json.new")
         digest = hashlib.sha256()
         try:
-            with _new(fresh) as target, open(self._path, "rb", opener=_no_link) as source:
+            with new_file(fresh) as target, open(self._path, "rb", opener=no_link) as source:
                 for block in self._sealed(source.fileno(), header, footer):
                     digest.update(block)
                     target.write(block)
@@ -182,17 +182,6 @@ class RunWriter:
                 # An adapter can write wherever its user can.
                 raise OSError("another program has changed it")
         yield b'\n ],\n "footer": ' + dump(footer)[:-1] + b",\n"
-
-
-def _no_link(path: str, flags: int) -> int:
-    """Open a file, but nothing that a symbolic link leads to: an adapter may have put it there."""
-    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
-
-
-def _new(path: Path) -> BinaryIO:
-    """Make a file that did not exist before, in place of whatever is there."""
-    path.unlink(missing_ok=True)
-    return open(path, "xb", opener=_no_link)
 
 
 def _head(header: Header) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
-from ..core.errors import ExhaustedError, KitError, NoBindingError, SubjectError
+from ..core.errors import ExhaustedError, KitError, MeddledError, NoBindingError, SubjectError
 from ..core.matrix import REQUIREMENTS
 from ..core.verdict import Status
 from ..protocols.journal import Entries
@@ -158,7 +158,7 @@ class ReplayDriver:
             return SubjectError(ended["code"], message)
         if ended["fault_of"] == "binding":
             return NoBindingError(message)
-        return ExhaustedError(message) if ended["code"] == "exhausted" else KitError(message)
+        return {"exhausted": ExhaustedError, "meddled": MeddledError}.get(ended["code"], KitError)(message)
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
         """Take the steps through the history."""

@@ -13,7 +13,6 @@ What is judged again, and what is believed:
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Mapping
@@ -23,6 +22,7 @@ from ..core.errors import place_of
 from ..core.finding import Finding
 from ..core.strict_json import same_json
 from ..record.redaction import REDACTED
+from ..record.unread import is_unread
 from ..session.exchange import Exchange
 from ..subject.command import Command
 from ..subject.model import READ_WRITE, Answering, Binding, ErrorRule, OutcomeRule, OutputRule
@@ -132,10 +132,9 @@ def _exchange(call: Mapping[str, Any]) -> Exchange | None:
             raise HistoryError(f"{call['tool']} has a digest of frames, and no frames")
         response, failure, complaint = _frame(call["envelope"]), None, None
     else:
-        request = frames["request"].encode()
         response = None if frames["response"] is None else frames["response"].encode()
         failure, complaint = frames["failure"], frames["complaint"]
-        if response is not None and hashlib.sha256(request + b"\n" + response).hexdigest() != call["frames_sha256"]:
+        if is_unread(call):
             if not (_altered(frames["request"]) or _altered(frames["response"])):
                 raise HistoryError(f"the frames of {call['tool']} are not those of their digest")
             return None

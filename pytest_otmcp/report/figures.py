@@ -7,8 +7,12 @@ drawn, and its file from an earlier run is removed.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from ..core.statistics import percentile
@@ -76,7 +80,7 @@ def ink_on(ground: str) -> str:
 
 def write_figures(run: Run, directory: Path) -> None:
     """Write every figure of a run below ``directory``; families that stand apart are in the map of protocols alone."""
-    import matplotlib as mpl
+    mpl = _matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -88,7 +92,9 @@ def write_figures(run: Run, directory: Path) -> None:
     }
     directory.mkdir(parents=True, exist_ok=True)
     run = benchmark(run)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
         for name, (draw, height) in figures.items():
             figure = Figure(figsize=(_WIDTH_IN, height), layout="constrained")
             FigureCanvasAgg(figure)
@@ -99,6 +105,21 @@ def write_figures(run: Run, directory: Path) -> None:
                     figure.savefig(path, metadata=metadata)
                 else:
                     path.unlink(missing_ok=True)
+
+
+def _matplotlib() -> ModuleType:
+    """Import matplotlib with the settings that come with it: it obeys those of the working directory, where an adapter may have put some."""
+    found = find_spec("matplotlib")
+    assert found is not None
+    assert found.origin is not None
+    # The working directory may be one that is not there any more.
+    here = os.open(".", os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.chdir(Path(found.origin).parent / "mpl-data")
+        return import_module("matplotlib")
+    finally:
+        os.fchdir(here)
+        os.close(here)
 
 
 def _items(run: Run, suite: str) -> list[Item]:

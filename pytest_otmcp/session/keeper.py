@@ -33,7 +33,8 @@ import select
 import signal
 import socket
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Collection
 from typing import Any, NoReturn
 
 __all__ = ["die_with_parent", "hide_memory"]
@@ -43,6 +44,10 @@ _SET_DUMPABLE = 4
 _SET_CHILD_SUBREAPER = 36
 _HANDLED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD, signal.SIGPIPE, signal.SIGXFSZ)
 _MOST_TOLD = 20
+_HUNT_S = 15.0
+"""Seconds for which processes are killed that do not end; the kit waits longer than that for a watcher."""
+_LOOK_S = 0.2
+_PAUSE_S = 0.0005
 
 
 _libc = ctypes.CDLL(None)
@@ -63,46 +68,104 @@ def hide_memory() -> None:
     _prctl(_SET_DUMPABLE, 0)
 
 
-def _parents() -> Iterator[tuple[int, int, str, str]]:
-    """Return of every process its number, its parent's, its state and its name (proc_pid_stat(5))."""
-    for entry in os.listdir("/proc"):
-        if entry.isdigit():
-            with contextlib.suppress(OSError):
-                # The process may end meanwhile.
-                with open(f"/proc/{entry}/stat", encoding="utf-8", errors="replace") as file:
-                    head, _, rest = file.read().rpartition(")")
-                state, parent = rest.split()[:2]
-                yield int(entry), int(parent), state, head.partition("(")[2]
+def _stat(number: int) -> tuple[int, str, str] | None:
+    """Return the parent of a process, its state and its name (proc_pid_stat(5)); None if there is none of this number."""
+    try:
+        with open(f"/proc/{number}/stat", encoding="utf-8", errors="replace") as file:
+            head, _, rest = file.read().rpartition(")")
+    except OSError:
+        return None
+    state, parent = rest.split()[:2]
+    return int(parent), state, head.partition("(")[2]
 
 
-def _descendants() -> list[tuple[int, str]]:
-    """Return number and name of each process that descends from this one and has not ended."""
-    processes = list(_parents())
-    above = {number: parent for number, parent, _, _ in processes}
+class _Look:
+    """A look at processes: each is read once, however many descend from it."""
 
-    def is_below(number: int) -> bool:
-        seen = set()
-        while number in above and number not in seen:
-            seen.add(number)
-            number = above[number]
+    def __init__(self) -> None:
+        self._seen: dict[int, tuple[int, str, str] | None] = {}
+
+    def name(self, number: int, besides: Collection[int]) -> str | None:
+        """Return the name of a process that runs and descends from this one; None for any other.
+
+        Args:
+            number: of the process.
+            besides: neither these count nor what descends from them.
+        """
+        found = self._stat(number)
+        if found is None or found[1] in "ZX":
+            return None
+        above: set[int] = set()
+        while number not in above and number not in besides:
+            above.add(number)
+            if (stat := self._stat(number)) is None:
+                return None
+            number = stat[0]
             if number == os.getpid():
-                return True
-        return False
+                return found[2]
+        return None
 
-    return [(number, name) for number, _, state, name in processes if state not in "ZX" and is_below(number)]
+    def _stat(self, number: int) -> tuple[int, str, str] | None:
+        if number not in self._seen:
+            self._seen[number] = _stat(number)
+        return self._seen[number]
 
 
-def _kill_descendants() -> None:
-    """Kill all descendants, also those that appear meanwhile, and wait until they are gone."""
-    with contextlib.suppress(ChildProcessError):
-        # Most often there are none, and a look at all processes takes ten milliseconds.
-        while os.waitpid(-1, os.WNOHANG)[0]:
-            pass
-        while True:
-            for number, _ in _descendants():
+def _numbers() -> list[int]:
+    """Return the numbers of all processes, the youngest first: one that does not live long is looked at at once."""
+    return sorted((int(entry) for entry in os.listdir("/proc") if entry.isdigit()), reverse=True)
+
+
+def _newest() -> int:
+    """Return the number that a process was given last (proc_loadavg(5))."""
+    with open("/proc/loadavg", encoding="ascii") as file:
+        return int(file.read().split()[-1])
+
+
+def _kill_descendants(besides: Collection[int] = ()) -> list[str]:
+    """Kill all descendants, also those that appear meanwhile, until none is left or :data:`_HUNT_S` have passed.
+
+    A look at all processes takes ten milliseconds, so one that forks and ends again and again is never met by it. Between two such looks
+    only those are looked at whose numbers were given meanwhile.
+
+    Args:
+        besides: children that are left alone with all that descends from them.
+
+    Returns:
+        The names of what there was.
+    """
+    names: set[str] = set()
+    until = time.monotonic() + _HUNT_S
+    newest, looked = 0, 0.0
+    while _has_children() and (now := time.monotonic()) < until:
+        before, newest = newest, _newest()
+        # Numbers begin again at the lowest when the highest was given.
+        if whole := now > looked + _LOOK_S or newest < before:
+            numbers, looked = _numbers(), now
+        else:
+            numbers = list(range(newest, before, -1))
+        look, met = _Look(), False
+        for number in numbers:
+            if (name := look.name(number, besides)) is not None:
+                names.add(name)
+                met = True
                 with contextlib.suppress(OSError):
                     os.kill(number, signal.SIGKILL)
-            os.waitpid(-1, 0)
+        if whole and besides and not met:
+            break
+        if not met:
+            time.sleep(_PAUSE_S)
+    return sorted(names)
+
+
+def _has_children() -> bool:
+    """Tell whether this process has a child, dead ones not counted."""
+    try:
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
+    except ChildProcessError:
+        return False
+    return True
 
 
 class _Watcher:
@@ -201,9 +264,7 @@ class _Watcher:
                     os.killpg(self._pid, signal.SIGTERM)
             return True
         self._reap()
-        found = [] if self._told_empty else _descendants()
-        self.say(left=sorted({name for number, name in found if number != self._pid})[:_MOST_TOLD])
-        _kill_descendants()
+        self.say(left=_kill_descendants()[:_MOST_TOLD])
         return False
 
 
@@ -224,26 +285,12 @@ def _keep(kit: socket.socket, parent: int) -> None:
         if not word:
             return
         if word == b"S":
-            _kill_unwatched(watchers)
+            # What an adapter leaves that has killed its own watcher has become the keeper's.
+            _kill_descendants(besides=watchers)
         if len(descriptors) == 4:
             watchers.add(_fork_watcher(kit, parent, descriptors))
         for descriptor in descriptors:
             os.close(descriptor)
-
-
-def _kill_unwatched(watchers: set[int]) -> None:
-    """Kill what an adapter leaves that has killed its own watcher; what such a process leaves becomes the keeper's child, too."""
-    while strays := [
-        number
-        for number, parent, state, _ in _parents()
-        if parent == os.getpid() and state not in "ZX" and number not in watchers
-    ]:
-        for number in strays:
-            with contextlib.suppress(OSError):
-                os.kill(number, signal.SIGKILL)
-            # It is a child, whose status nobody wants: the wait ends with it, and there is nothing to return.
-            with contextlib.suppress(ChildProcessError):
-                os.waitpid(number, 0)
 
 
 def _fork_watcher(kit: socket.socket, parent: int, descriptors: list[int]) -> int:

@@ -25,6 +25,7 @@ from pydantic import ValidationError
 
 from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.exhaustion import exhausted
+from ..core.tool_entry import TWICE
 from ..record.schema import Footprint, ToolsChanged
 from .canary import SecretSearch
 from .exchange import CANCELLED, CONTENT_TOO_LARGE, Exchange
@@ -39,7 +40,6 @@ from .starvation import LOOK_S, Patience
 from .stdio import StdioTransport
 
 __all__ = ["McpSession", "SessionOptions"]
-
 
 _LIST_S = 2.0
 
@@ -211,7 +211,13 @@ class McpSession:
             page = await client.list_tools(cursor=cursor)
             for tool in page.tools:
                 entries.append(_entry(tool))
-                self.tools[tool.name] = tool.model_dump(by_alias=True, mode="json", exclude_none=True)
+                listed = tool.model_dump(by_alias=True, mode="json", exclude_none=True)
+                if (known := self.tools.get(tool.name)) is not None:
+                    # Which of them a call reaches, nobody can know.
+                    alike = listed == {name: value for name, value in known.items() if name != TWICE}
+                    known[TWICE] = "alike" if alike and known.get(TWICE) != "other" else "other"
+                    continue
+                self.tools[tool.name] = listed
                 if tool.output_schema is not None:
                     self._output_schemas[tool.name] = json.dumps(tool.output_schema).encode()
             cursor = page.next_cursor

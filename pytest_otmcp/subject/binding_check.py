@@ -10,6 +10,7 @@ import difflib
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from ..core.tool_entry import TWICE
 from .addressing import mentions_address
 from .claims import Claims
 from .model import Adapter, handles, placeholders
@@ -52,6 +53,9 @@ def _compare(
         yield f"{where}.tool: the adapter lists no tool {tool!r}; " + (
             f"did you mean {near[0]!r}?" if near else f"it lists {listed}"
         )
+        return
+    if TWICE in tools[tool]:
+        # Which of its entries the subject file is about, nobody knows; that there are two is the adapter's fault, and a finding.
         return
     schema = tools[tool].get("inputSchema") or {}
     properties = schema.get("properties") or {}

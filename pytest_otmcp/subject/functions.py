@@ -26,8 +26,9 @@ from dataclasses import dataclass
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
+from ..core import files
 from ..core.errors import UsageError
 from ..protocols.registry import protocols
 from .model import Function
@@ -83,6 +84,16 @@ class Tools(Protocol):
         """Read a resource of the adapter."""
 
 
+class _Source(SourceFileLoader):
+    """A loader of the file itself: byte code beside it may be somebody else's."""
+
+    def get_data(self, path: str) -> bytes:
+        return files.read(path)
+
+    def path_stats(self, path: str) -> NoReturn:
+        raise OSError
+
+
 def load_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
     """Load the functions of a bindings file, by the operation of ``protocol`` that each performs.
 
@@ -93,7 +104,7 @@ def load_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
     """
     name = f"otmcp_bindings_{protocol}"
     # A bindings file need not be named *.py, so the loader is chosen here.
-    loader = SourceFileLoader(name, str(path))
+    loader = _Source(name, str(path))
     module = ModuleType(name)
     module.__file__ = str(path)
     try:
@@ -117,7 +128,7 @@ def named_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
         UsageError: the file cannot be read as Python.
     """
     try:
-        tree = ast.parse(path.read_bytes())
+        tree = ast.parse(files.read(path))
     except FileNotFoundError:
         raise UsageError(f"{key}: {path}: there is no such file") from None
     except (OSError, SyntaxError, ValueError, RecursionError) as error:

@@ -17,6 +17,7 @@ from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
+from ..core.files import regular
 from ..core.library_registry import Library, libraries
 from ..protocols.registry import protocols
 
@@ -144,10 +145,8 @@ def _is_file(file: Path) -> bool:
 
 
 def _text(file: Path) -> str:
-    if not _is_file(file):
-        return ""
     try:
-        with file.open("rb") as stream:
+        with open(file, "rb", opener=regular) as stream:
             return stream.read(_BYTES).decode("utf-8", "replace")
-    except OSError:
+    except (OSError, ValueError):  # as of a name that no file can have
         return ""

@@ -19,6 +19,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from .. import __version__
+from ..core import files
 from ..core.errors import UsageError
 from ..protocols.bounds import Bounds, Times
 from ..protocols.protocol import LAUNCHES, RECOVERY
@@ -82,12 +83,13 @@ def load_subject(path: Path, *, run: bool = True) -> Subject:
         UsageError: the file cannot be read or says something that the kit does not understand.
     """
     try:
-        content = path.read_bytes()
+        content = files.read(path)
         document = tomllib.loads(content.decode("utf-8"))
     except FileNotFoundError:
         raise UsageError(f"{path}: there is no such subject file") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: the subject file cannot be read ({error})") from None
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"{path}: the subject file cannot be read ({reason})") from None
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{path}: not valid TOML: {error}") from None
     try:
@@ -102,7 +104,7 @@ def _subject(document: Mapping[str, Any], path: Path, content: bytes, *, run: bo
     for table in document["adapter"].values():
         if "bindings" in table:
             source = path.parent / table["bindings"]
-            digest.update(b"\0" + source.name.encode() + b"\0" + source.read_bytes())
+            digest.update(b"\0" + source.name.encode() + b"\0" + files.read(source))
     return Subject(
         name=document["subject"]["name"],
         version=document["subject"]["version"].replace("{kit_version}", __version__),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import inspect
 import json
 import os
 import re
@@ -657,3 +658,13 @@ class Subject:
     source: Path
     deviations: tuple[Deviation, ...] = ()
     digest: str = "sha256:" + hashlib.sha256(b"").hexdigest()
+
+    def sources(self) -> list[Path]:
+        """Return the subject file and its bindings files."""
+        functions = [
+            operation
+            for adapter in self.adapters.values()
+            for operation in adapter.operations.values()
+            if isinstance(operation, Function)
+        ]
+        return [self.source, *dict.fromkeys(Path(inspect.getfile(function.call)) for function in functions)]

@@ -13,12 +13,14 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypedDict, cast
+from typing import Literal, TypedDict, cast
 
 from .. import __version__
 from ..core.errors import KitError, NoBindingError, NoHandleError, SubjectError, UsageError
+from ..core.files import new_file
 from ..core.strict_json import parse_strict
 from ..core.text import recorded_name
+from ..core.tool_entry import TWICE
 from ..plant.device import Device
 from ..plant.endpoint import endpoint_values
 from ..plant.owners import TOKEN_VARIABLE, new_token
@@ -212,7 +214,10 @@ class AdapterUnderTest:
         entry = (self.tools or {}).get(tool)
         if entry is None:
             return None
-        return {"inputSchema": entry.get("inputSchema"), "annotations": entry.get("annotations")}
+        listed: ToolListing = {"inputSchema": entry.get("inputSchema"), "annotations": entry.get("annotations")}
+        if TWICE in entry:
+            listed["twice"] = cast(Literal["alike", "other"], entry[TWICE])
+        return listed
 
     def consulted(self, operation: str, tool: str) -> ToolListing | None:
         """Return what ``tools/list`` says of a tool; the record has it then, whether or not the tool is ever called."""
@@ -263,7 +268,9 @@ class AdapterUnderTest:
         for name, content in launch.files.items():
             file = Path(self._work.name, name)
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(content, encoding="utf-8")
+            # An earlier session of the adapter may have put something else there.
+            with new_file(file) as made:
+                made.write(content.encode())
         options = SessionOptions(
             era="legacy" if self.legacy or self._by_handshake else self.adapter.era or self._options.era,
             start_timeout_s=self.adapter.start_timeout_s * self._options.time_scale,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from ..core.finding import Finding
 
-__all__ = ["listing_faults"]
+__all__ = ["listing_faults", "named_twice"]
 
 _ELSEWHERE = ("$ref", "allOf", "anyOf", "oneOf", "patternProperties")
 """Members by which a schema may declare arguments in another place."""
@@ -23,6 +23,7 @@ def listing_faults(
         writes: it was called to change the plant.
         adds: what it writes takes nothing away, and does something each time.
     """
+    yield from named_twice(tool, listing)
     schema = listing.get("inputSchema")
     if not isinstance(schema, Mapping) or schema.get("type") != "object":
         stated = schema.get("type") if isinstance(schema, Mapping) else schema
@@ -44,6 +45,24 @@ def listing_faults(
     annotations = listing.get("annotations")
     if writes and isinstance(annotations, Mapping):
         yield from _false_hints(tool, annotations, adds=adds)
+
+
+def named_twice(tool: str, listing: Mapping[str, object]) -> Iterator[Finding]:
+    """Judge that a tool has the name of another one: MCP recommends that it has not, and a client cannot know which one a call reaches."""
+    twice = listing.get("twice")
+    if twice == "other":
+        yield Finding(
+            code="tool_twice",
+            message=f"tools/list: two tools that differ are called {tool!r}",
+            requirement="MCP-003",
+        )
+    elif twice is not None:
+        yield Finding(
+            code="tool_twice",
+            message=f"tools/list: {tool!r} should be listed once, it is listed twice",
+            requirement="MCP-003",
+            strength="SHOULD",
+        )
 
 
 def _false_hints(tool: str, annotations: Mapping[str, object], *, adds: bool) -> Iterator[Finding]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal, cast
 
-from ..core.errors import ExhaustedError, KitError, NoBindingError, SubjectError
+from ..core.errors import ExhaustedError, KitError, MeddledError, NoBindingError, SubjectError
 from ..core.exhaustion import exhausted
 from ..core.finding import Finding, Kind, kind_of
 from ..protocols.unsolicited import nothing_commanded
@@ -120,6 +120,9 @@ class Trial:
         except ExhaustedError as failure:
             self._status = "KIT_ERROR"
             self._end("kit", "exhausted", str(failure))
+        except MeddledError as failure:
+            self._status = "KIT_ERROR"
+            self._end("kit", "meddled", str(failure))
         except KitError as failure:
             self._status = "KIT_ERROR"
             self._end("kit", "kit_error", str(failure))

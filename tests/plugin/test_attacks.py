@@ -71,7 +71,21 @@ def test_a_device_that_an_adapter_kills_gives_no_verdict(empty_repository: Repos
     outcome = attacked(empty_repository, "kills-the-device")
     assert outcome.code == 3, outcome.output
     assert outcome.statuses == {"M1": "KIT_ERROR"}
+    words = " ".join(outcome.output.split())
+    assert "the modbus mock was killed by another program, as an adapter can do" in words
+    assert "file a bug" not in words
     assert "Traceback" not in outcome.output
+
+
+@LONG
+def test_a_report_directory_that_an_adapter_moves_is_no_bug(empty_repository: Repository) -> None:
+    outcome = attacked(empty_repository, "moves-the-report-directory")
+    assert outcome.code == 3, outcome.output
+    words = " ".join(outcome.output.split())
+    assert "as an adapter can do" in words or "an adapter can do that to the files of a report directory" in words
+    assert "file a bug" not in words
+    assert "Traceback" not in outcome.output
+    assert "VERDICT: CONFORMANT (" not in outcome.output
 
 
 def test_samples_that_an_adapter_rewrites_during_its_item_end_the_run(empty_repository: Repository) -> None:
@@ -81,6 +95,32 @@ def test_samples_that_an_adapter_rewrites_during_its_item_end_the_run(empty_repo
     assert "run.json cannot be written: another program has changed the samples of an item" in words
     assert "Traceback" not in outcome.output
     assert "VERDICT: CONFORMANT (" not in outcome.output
+
+
+@LONG
+def test_a_pipe_in_place_of_the_record_ends_the_run(empty_repository: Repository) -> None:
+    outcome = attacked(
+        empty_repository,
+        "puts-a-pipe-in-place-of-the-record",
+        *SUITE[:2],
+        "--otmcp-suite=normal,requirements",
+        "-k",
+        "[M1] or MCP-010.modbus",
+    )
+    assert outcome.code == 3, outcome.output
+    words = " ".join(outcome.output.split())
+    assert "run.json cannot be written: it is a pipe, a socket, a device or a folder, where a regular file" in words
+    assert "Traceback" not in outcome.output
+    assert "VERDICT: CONFORMANT (" not in outcome.output
+
+
+def test_files_that_an_adapter_plants_are_told(empty_repository: Repository) -> None:
+    outcome = attacked(empty_repository, "plants-files")
+    assert outcome.code == 1, outcome.output
+    what = {"conftest.py": "made", "otmcp.toml": "changed", "matplotlibrc": "made"}
+    assert {
+        f"{name} was {how} during the run; look at it before anything else is run here" for name, how in what.items()
+    } <= {*outcome.narrowed}
 
 
 @contextmanager

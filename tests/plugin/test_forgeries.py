@@ -251,19 +251,28 @@ def a_guard_that_leaks(run: Record) -> None:
 
 
 def on_another_day(run: Record) -> None:
-    """Move the whole run by two days: every time of day, those of the envelopes, and the monotonic clock."""
+    """Move the whole run by two days: every time of day, those of the envelopes, and the monotonic clock by as much."""
     for place in (run["environment"], *run["items"]):
         for name in ("started_at", "finished_at"):
-            place[name] = later(place[name])
+            place[name] = earlier(place[name])
     for one in calls(run):
         meta = one["envelope"]["meta"]
-        meta["started_at"] = later(meta["started_at"])
+        meta["started_at"] = earlier(meta["started_at"])
     for one in run["items"]:
         moved(one, ns=2 * DAY_NS)
 
 
-def later(moment: str) -> str:
-    return (datetime.fromisoformat(moment) + timedelta(days=2)).isoformat().replace("+00:00", "Z")
+def to_come(run: Record) -> None:
+    """Move the time of day of the whole run five years ahead."""
+    for place in (run["environment"], *run["items"]):
+        for name in ("started_at", "finished_at"):
+            place[name] = (
+                (datetime.fromisoformat(place[name]) + timedelta(days=5 * 365)).isoformat().replace("+00:00", "Z")
+            )
+
+
+def earlier(moment: str) -> str:
+    return (datetime.fromisoformat(moment) + timedelta(days=-2)).isoformat().replace("+00:00", "Z")
 
 
 FORGERIES: dict[str, tuple[str, Change]] = {
@@ -492,6 +501,26 @@ FORGERIES: dict[str, tuple[str, Change]] = {
     "another day than that of the times on the wire": (
         'Q4: the stored history shows status "FAIL", the record says "PASS"',
         on_another_day,
+    ),
+    "a time that is still to come": (
+        "contradicts itself: the run ended at 20",
+        to_come,
+    ),
+    "workers of pytest-xdist that had no device": (
+        "the settings say 64 workers of pytest-xdist, modbus was main's",
+        lambda run: run["settings"].update(xdist_workers=64),
+    ),
+    "the era of the handshake": (
+        "the settings ask for sessions by handshake, that of modbus was one of MCP 20",
+        lambda run: run["settings"].update(era="legacy"),
+    ),
+    "a facet that does not exist": (
+        "subject.adapters.modbus offers 'teleport', which is no voluntary facet of Modbus",
+        lambda run: run["subject"]["adapters"]["modbus"].update(offered=["teleport"]),
+    ),
+    "a deviation that was not declared": (
+        "from its items follow the deviations {'used': [], 'stale': [], 'expired': []}, the footer says {'used': ['M1']",
+        lambda run: run["footer"]["deviations"].update(used=["M1"]),
     ),
     "an end that did not come": (
         'M2: the stored history shows status "FAIL", the record says "PASS"',

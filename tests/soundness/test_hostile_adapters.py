@@ -121,6 +121,7 @@ def test_the_finding_says_what_the_adapter_did(judge: Judge, token: str, kind: s
         pytest.param("daemon-with-pipes", marks=LONG),
         "daemon-of-a-daemon",
         pytest.param("daemon-ignores-signals", marks=LONG),
+        pytest.param("rabbits", marks=LONG),
         pytest.param("forks-when-it-ends", marks=LONG),
         pytest.param("never-ends", marks=LONG),
         pytest.param("kills-its-parent", marks=LONG),
@@ -136,7 +137,7 @@ def test_nothing_that_an_adapter_starts_outlives_its_session(judge: Judge, token
 
 
 @LONG
-@pytest.mark.parametrize("kind", ["daemon", "daemon-of-a-daemon", "forks-when-it-ends", "many-children"])
+@pytest.mark.parametrize("kind", ["daemon", "daemon-of-a-daemon", "forks-when-it-ends", "many-children", "rabbits"])
 def test_what_an_adapter_leaves_running_is_told(judge: Judge, token: str, kind: str) -> None:
     results = judge("modbus", command=hostile(kind, token), tasks="R-modbus")
     assert re.search(LEFT, words(results)), words(results)

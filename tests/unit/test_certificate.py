@@ -276,6 +276,23 @@ OBJECTIONABLE: list[tuple[Change, str]] = [
         lambda run: run["subject"].update(name="acme \u202egnitset"),
         "subject.name has a control character: 'acme \\u202egnitset'",
     ),
+    *(
+        (lambda run, name=name: run["subject"].update(name=name), f"subject.name {what}: {name!a}")
+        for name, what in (
+            ("\u3164\u2800\u115f", "has a letter that shows nothing"),
+            ("acme\u3164", "has a letter that shows nothing"),
+            ("   ", "shows nothing"),
+            ("\ufe0f", "shows nothing"),
+        )
+    ),
+    (
+        lambda run: run["subject"]["adapters"]["modbus"].update(recovery_s=0.001),
+        "modbus: its recovery_s of 0.001 s is less than the 0.1 s that the kit can measure",
+    ),
+    (
+        lambda run: by_id(run, "R-modbus")["samples"][3]["phases"].update(same_session=6100.0, same_session_attempts=2),
+        "modbus: it worked again after 6.1 s, its recovery_s is 5 s",
+    ),
     (
         lambda run: run["environment"].update(platform="Linux \u202e46_68x"),
         "environment.platform has a control character: 'Linux \\u202e46_68x'",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import os
+from dataclasses import replace
 from typing import Any
 
+from mcp.types import ToolAnnotations
 from mcp.types.version import HANDSHAKE_PROTOCOL_VERSIONS
 from pydantic import field_validator
 
@@ -81,6 +83,16 @@ def no_schema(server: AdapterServer) -> None:
 
 def named_with_blanks(server: AdapterServer) -> None:
     server._tools["list_tags"].listing.name = "list tags!"
+
+
+def named_alike(name: str, **listed: Any) -> Change:
+    """Return the defect that another tool of this name is listed, which differs in these members."""
+
+    def apply(server: AdapterServer) -> None:
+        tool = server._tools[name]
+        server._tools[f"another {name}"] = replace(tool, listing=tool.listing.model_copy(update=listed))
+
+    return apply
 
 
 def hinted(**hints: bool) -> Change:
@@ -288,6 +300,22 @@ DEFECTS: tuple[Defect, ...] = (
     defect("MU-112r", "modbus", "No schema says which arguments are required.", listed_without("required"), "MCP-003"),
     defect(
         "MU-112n", "modbus", "A tool has a name with a blank.", named_with_blanks, "MCP-003 MCP-008", "MCP-003 MCP-007"
+    ),
+    defect(
+        "MU-112t",
+        "modbus",
+        "A second tool of one name takes other arguments.",
+        named_alike("write_register", input_schema={"type": "object", "properties": {"x": {}}, "required": ["x"]}),
+        "MCP-001 MCP-003 MCP-004 MCP-005 MCP-006 MCP-008 MCP-010",
+        "MCP-003",
+    ),
+    defect(
+        "MU-112u",
+        "mqtt",
+        "A second tool of one name calls itself read-only.",
+        named_alike("publish_message", annotations=ToolAnnotations(read_only_hint=True)),
+        "MCP-001 MCP-003 MCP-004 MCP-005 MCP-006 MCP-008 MCP-010",
+        "MCP-003",
     ),
     defect("MU-112s", "mqtt", "The schemas of the arguments are no JSON Schema.", no_schema, "MCP-003"),
     defect(

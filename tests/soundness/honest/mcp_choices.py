@@ -225,6 +225,24 @@ def further_tools(server: AdapterServer) -> None:
     server._tools["about_this_adapter"] = dataclasses.replace(ping, listing=listing, handler=about)
 
 
+@choice(
+    "has two tools whose names differ in upper and lower case alone",
+    "MCP, server/tools, Tool Names: they are case-sensitive",
+)
+def names_in_upper_case(server: AdapterServer) -> None:
+    ping = server._tools["ping"]
+    server._tools["PING"] = dataclasses.replace(ping, listing=ping.listing.model_copy(update={"name": "PING"}))
+
+
+@choice(
+    "lists a tool twice, with the same words",
+    "MCP, server/tools, Tool Names: they SHOULD be unique",
+    warnings=(("MCP-003", "tool_twice"),),
+)
+def the_same_tool_twice(server: AdapterServer) -> None:
+    server._tools["ping again"] = server._tools["ping"]
+
+
 @choice("does not list its writing tools where writes are disabled", "what is not there cannot be used")
 def guard_by_hiding(server: AdapterServer) -> None:
     if not server.writes_enabled:

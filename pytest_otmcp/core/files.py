@@ -1,0 +1,72 @@
+"""Files that somebody else may have replaced: a regular file is opened, and nothing that would make the kit wait.
+
+Whoever opens a FIFO waits for its other end, for ever if there is none; to open a device may change it.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+__all__ = ["new_file", "no_link", "read", "regular"]
+
+_WITHOUT_WAITING = os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
+
+
+def regular(path: str | os.PathLike[str], flags: int) -> int:
+    """Open a file, as the ``opener`` of :func:`open`; symbolic links are followed.
+
+    Raises:
+        OSError: it is not there, cannot be opened, or is a FIFO, a socket, a device or a directory.
+    """
+    return _opened(path, flags, follow=True)
+
+
+def no_link(path: str | os.PathLike[str], flags: int) -> int:
+    """Open a file as :func:`regular` does, but nothing that a symbolic link leads to: somebody else may have put it there."""
+    return _opened(path, flags, follow=False)
+
+
+def read(path: str | os.PathLike[str]) -> bytes:
+    """Return the content of a regular file.
+
+    Raises:
+        OSError: that of :func:`regular`.
+    """
+    with open(path, "rb", opener=regular) as file:
+        return file.read()
+
+
+def new_file(path: Path) -> BinaryIO:
+    """Make a file that did not exist before, in place of whatever is there.
+
+    Raises:
+        OSError: it cannot be made, or a folder is in its place.
+    """
+    path.unlink(missing_ok=True)
+    return open(path, "xb", opener=no_link)
+
+
+def _opened(path: str | os.PathLike[str], flags: int, *, follow: bool) -> int:
+    try:
+        # A device is not even opened.
+        _check(os.stat(path, follow_symlinks=follow), path)
+    except FileNotFoundError:
+        if not flags & os.O_CREAT:
+            raise
+    descriptor = os.open(path, flags | _WITHOUT_WAITING | (0 if follow else os.O_NOFOLLOW), 0o666)
+    try:
+        _check(os.fstat(descriptor), path)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _check(found: os.stat_result, path: str | os.PathLike[str]) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        what = "a link" if stat.S_ISLNK(found.st_mode) else "a pipe, a socket, a device or a folder"
+        raise OSError(errno.EINVAL, f"it is {what}, where a regular file should be", os.fspath(path))
