@@ -195,26 +195,38 @@ async def a_write_works(run: Repetition, at: Rig, *, requirement: str | None = N
     """Write a random value, as the positive control beside what must be refused: said, and done once."""
     asked, reply = await write(run, at)
     run.succeeds(reply, requirement=requirement, **asked.outputs)
-    run.witnessed(written_once(at, asked, await asked_of_the_device(at, asked, reply), requirement=requirement))
+    entries = await asked_of_the_device(at, asked, reply)
+    run.witnessed(written_once(at, asked, reply, entries, requirement=requirement))
 
 
-def written_once(at: Rig, asked: Asked, entries: Entries, *, requirement: str | None = None) -> list[Finding]:
-    """Expect that what a write asked for reached the device once.
+def written_once(
+    at: Rig, asked: Asked, reply: Reply, entries: Entries, *, requirement: str | None = None
+) -> list[Finding]:
+    """Expect that what a write asked for reached the device once, and that the device had seen it when the call was a success.
 
     Args:
-        requirement: id of the requirement that anything else breaks; None is WR-001 for no write, WR-003 for several.
+        entries: see :func:`asked_of_the_device`.
+        requirement: id of the requirement that another number of them breaks; None is WR-001 for none, WR-003 for several.
     """
     found = exercise(at).done(entries, asked)
-    count = len(found)
-    if count == 1:
+    count, seen = len(found), protocols()[at.protocol].seen(entries)
+    if not (count or reply.success):
         return []
+    if count == 1:
+        received_ns = reply.exchange.received_ns
+        late = reply.success and received_ns is not None and found[0]["t_ns"] > received_ns
+        broken = exercise(at).too_late(found[0]) if late else None
+        if broken is None:
+            return []
+        message = f"{reply.label}: it claims success, and the device saw the request only after that"
+        return [Finding(code="told_too_early", message=message, requirement=broken, evidence=seen)]
     return [
         Finding(
             code="not_written_once",
             message=f"{at.protocol}: the device should have seen the write of {dict(asked.inputs)} once, it saw it {count} times"
             + said_of_repetitions(at, entries, found),
             requirement=requirement or ("WR-003" if count else "WR-001"),
-            evidence=protocols()[at.protocol].seen(entries),
+            evidence=seen,
         )
     ]
 

@@ -30,7 +30,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.wire.mqtt.sparkplug import parse_topic
 
-from ..commanded import carried_out
+from ..commanded import asked_of_the_device, carried_out
 from ..commanded import guarded as guarded_command
 from ..tasks.common import UNCERTAIN, a_meaningless_switch_enables_nothing, each_fails, each_write
 from .steps import (
@@ -565,7 +565,8 @@ async def _is_written(at: Rig, reply: Reply, asked: Asked, requirement: str) -> 
     image: Any = await at.device.image()
     if asked.points.keys() <= image["points"].keys():
         return citing(requirement, witness(at).holds(image, asked.points))
-    return written_once(at, asked, reply.during(await at.journal()), requirement=requirement)
+    entries = await asked_of_the_device(at, asked, reply)
+    return written_once(at, asked, reply, entries, requirement=requirement)
 
 
 async def _refused(
