@@ -23,6 +23,7 @@ import paho.mqtt.client as paho
 from foreign import Failure, Result, Shape, json_text, prose, structured
 
 ANSWER_S = 3.0
+LATER_S = 0.03
 REFUSED = 0x80
 LONGEST = 65_535
 """Bytes of a topic that a packet can say."""
@@ -104,6 +105,12 @@ class Link:
         self.require()
         return self.wait(self.client.subscribe(filter, qos)[1])
 
+    def subscribe_later(self, filter: str, qos: int) -> None:
+        threading.Timer(LATER_S, self.client.subscribe, (filter, qos)).start()
+
+    def publish_later(self, topic: str, payload: str, qos: int) -> None:
+        threading.Timer(LATER_S, self.client.publish, (topic, payload, qos)).start()
+
     def publish(self, topic: str, payload: str, qos: int) -> None:
         if not self._reconnects:
             # Without a connection paho would keep the message until it has one again.
@@ -167,7 +174,10 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
         if not topic or NO_NAME.intersection(topic):
             return bad(Failure("invalid", "the topic must not be empty, or hold a wildcard or a null character"))
         try:
-            await asyncio.to_thread(link().publish, topic, text, 0)
+            if lie == "publishes-later":
+                link().publish_later(topic, text, 0)
+            else:
+                await asyncio.to_thread(link().publish, topic, text, 0)
         except Failure as failure:
             if lie == "publishes-into-the-void":
                 return structured({"success": True, "topic": topic})
@@ -235,7 +245,11 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
                 if lie == "applied-nevertheless":
                     await asyncio.to_thread((await link()).subscribe, topic_filter, 2)
                 raise Failure("invalid", "qos must be less than or equal to 2")
-            granted = await asyncio.to_thread((await link()).subscribe, topic_filter, qos)
+            if lie == "subscribes-later":
+                (await link()).subscribe_later(topic_filter, qos)
+                granted = qos
+            else:
+                granted = await asyncio.to_thread((await link()).subscribe, topic_filter, qos)
         except Failure as failure:
             return bad(failure)
         handle = f"s{len(handles) + 1}"
@@ -260,7 +274,10 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
         if NO_NAME.intersection(topic):
             return bad(Failure("invalid", "the topic must not hold a wildcard or a null character"))
         try:
-            await asyncio.to_thread((await link()).publish, topic, message, qos)
+            if lie == "publishes-later":
+                (await link()).publish_later(topic, message, qos)
+            else:
+                await asyncio.to_thread((await link()).publish, topic, message, qos)
         except Failure as failure:
             return bad(failure)
         return structured({"topic": topic})

@@ -84,7 +84,7 @@ def test_a_defect_of_a_server_without_operations_is_found(judge: Judge, name: st
 LIES = {
     # It starts when the broker is there, so nothing else of it is amiss.
     "needs-the-broker": ("MCP-002", "MCP-002"),
-    "never-refused": ("ERR-001 MCP-010", "ERR-001"),
+    "never-refused": ("ERR-001 MCP-010", "MQT-002"),
     "publishes-into-the-void": ("REC-002 WR-010", "MQT-001"),
     "last-words": ("INJ-001", "INJ-001"),
     "raw-text": ("INJ-002", "INJ-002"),

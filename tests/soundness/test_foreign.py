@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from .conftest import IMPATIENT, Judge, failing, passing, words
+from .conftest import IMPATIENT, Judge, failing, passing, requirements, words
 
 NO_MQTT = "the subject has no adapter for MQTT"
 NO_OPCUA = "the subject has no adapter for OPC UA"
@@ -202,6 +202,33 @@ def test_a_lie_fails_exactly_its_tasks(judge_foreign: Judge, name: str, lie: str
     assert failing(results) == set(tasks.split()), words(results)
     assert reason in words(results)
     assert {result["status"] for result in results.values()} <= {"PASS", "FAIL", "NOT_APPLICABLE"}
+
+
+TOO_EARLY = {
+    ("mqtt-handle", "publishes-later"): ("CON-004.mqtt TMO-004.mqtt", "MQT-001"),
+    ("mqtt-handle", "subscribes-later"): ("CON-006.mqtt", "MQT-002"),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "lie"),
+    [pytest.param(*told, marks=pytest.mark.long if number else ()) for number, told in enumerate(TOO_EARLY)],
+)
+def test_a_success_before_the_request_is_told_as_such_and_not_as_a_lost_one(
+    judge_foreign: Judge, name: str, lie: str
+) -> None:
+    tasks, cited = TOO_EARLY[name, lie]
+    results = judge_foreign(name, lie=lie, tasks=tasks)
+    assert failing(results) == set(tasks.split()), words(results)
+    assert "it claims success, and the device saw the request only after that" in words(results)
+    assert requirements(results) == {cited}, words(results)
+
+
+@pytest.mark.long
+def test_what_is_never_acknowledged_may_leave_after_the_answer(judge_foreign: Judge) -> None:
+    # QoS 0: what is bent is no lie.
+    results = judge_foreign("mqtt-connect", lie="publishes-later", tasks="CON-004.mqtt TMO-004.mqtt")
+    assert failing(results) == set(), words(results)
 
 
 def test_an_item_that_is_missing_from_several_is_missed(judge_foreign: Judge) -> None:
