@@ -459,6 +459,8 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
 
     async def receive_message(topic: str, timeout: float) -> Result:
         link: Link | None = None
+        if lie == "looks-nowhere":
+            return json_text({})
         try:
             link = await opened()
             granted = await asyncio.to_thread(link.subscribe, topic, 0)
@@ -469,6 +471,8 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
                 return prose(f"Error: the broker refuses the filter {topic!r}{words}", is_error=True)
             message = await asyncio.to_thread(link.next, timeout)
         except Failure as failure:
+            if lie == "outage-is-silence":
+                return json_text({})
             return prose(f"Error: {failure}", is_error=True)
         finally:
             if link is not None:

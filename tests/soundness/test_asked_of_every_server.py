@@ -101,6 +101,29 @@ def test_a_lie_of_an_adapter_that_waits_is_found(judge_foreign: Judge, lie: str)
     assert requirements(results) >= set(cited.split()), words(results)
 
 
+RESULT = "[{topic: topic, payload: payload}]"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("lie", "said"),
+    [
+        (
+            "outage-is-silence",
+            "still succeeds and brings nothing, as if the device had nothing to say; nothing was written",
+        ),
+        ("looks-nowhere", "The answer brings nothing, from wherever; nothing was written"),
+    ],
+)
+def test_an_empty_list_in_an_outage_is_not_told_as_a_value_from_memory(
+    judge_foreign: Judge, lie: str, said: str
+) -> None:
+    described = RESULT, f"{RESULT} | [?topic]"
+    results = judge_foreign("mqtt-wait", lie=lie, tasks="WR-010.mqtt", described=described)
+    assert failing(results) == {"WR-010.mqtt"}, words(results)
+    assert said in words(results) and "from memory" not in words(results)
+
+
 def test_writes_without_any_read_are_a_matter_of_the_subject_file(judge_described: Judge) -> None:
     subject = foreign_subject("mqtt-wait")
     adapter = subject.adapters["mqtt"]
