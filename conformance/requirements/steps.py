@@ -164,11 +164,23 @@ async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001
         asked.operation, window_s=at.subject.recovery_s, from_first_call=True, **asked.inputs
     )
     run.succeeds(replies[-1], requirement=requirement, **asked.outputs)
+    if replies[-1].success and at.subject.blocks(asked.operation):
+        await _over_a_connection_that_lives(run, at, replies[-1], requirement)
     known = protocols()[at.protocol].exercise
     if known is not None and exercise(at).writing in [one.operation for one in known.otherwise]:
         # A Sparkplug host may command what it has heard of, and the proof has the nodes born again.
         at.doubt()
     return replies[-1]
+
+
+async def _over_a_connection_that_lives(run: Repetition, at: Rig, reply: Reply, requirement: str) -> None:
+    """Expect of a call that waited, and may have waited in vain, that what it sent was not sent to an end that has vanished."""
+    seen = reply.during(await at.journal())
+    if any(entry["kind"] == "lost" for entry in seen) and not any(entry["answers"] is not None for entry in seen):
+        message = (
+            f"{reply.label}: it claims success, and the device answered nothing: its end of the connection has vanished"
+        )
+        run.judge(reply, [Finding(code="no_exchange", message=message, requirement=requirement)])
 
 
 async def read(run: Repetition, at: Rig) -> tuple[Asked, Reply]:

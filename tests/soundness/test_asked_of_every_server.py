@@ -124,6 +124,19 @@ def test_an_empty_list_in_an_outage_is_not_told_as_a_value_from_memory(
     assert said in words(results) and "from memory" not in words(results)
 
 
+@pytest.mark.long
+def test_silence_over_a_connection_whose_end_has_vanished_is_no_success(judge_foreign: Judge) -> None:
+    described = RESULT, f"{RESULT} | [?topic]"
+    results = judge_foreign(
+        "mqtt-wait", lie="keeps-its-connection", tasks="REC-003.mqtt REC-005.mqtt", described=described
+    )
+    # The next item gets a session of its own.
+    assert failing(results) == {"REC-003.mqtt"}, words(results)
+    assert "it claims success, and the device answered nothing: its end of the connection has vanished" in words(
+        results
+    )
+
+
 def test_writes_without_any_read_are_a_matter_of_the_subject_file(judge_described: Judge) -> None:
     subject = foreign_subject("mqtt-wait")
     adapter = subject.adapters["mqtt"]
