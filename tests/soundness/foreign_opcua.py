@@ -91,7 +91,11 @@ def opcua_items(lie: str | None, read_only: bool) -> Shape:
             found = await (await client()).get_node(node).get_references(HIERARCHICAL, FORWARD)
             return [described(reference) for reference in found]
 
-        return await items(work())
+        listed = await items(work())
+        if lie in ("first-page", "first-page-as-all") and not listed.get("isError"):
+            every = listed["structuredContent"]["items"]
+            return structured({"items": every[:200], "more": len(every) > 200 and lie == "first-page"})
+        return listed
 
     async def all_variables() -> Result:
         async def work() -> list[dict[str, Any]]:

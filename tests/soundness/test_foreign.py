@@ -204,6 +204,17 @@ def test_a_lie_fails_exactly_its_tasks(judge_foreign: Judge, name: str, lie: str
     assert {result["status"] for result in results.values()} <= {"PASS", "FAIL", "NOT_APPLICABLE"}
 
 
+LISTS = "result.node_ids = \"items[?class == 'Variable'].node\""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("lie", "accused"), [("first-page", False), ("first-page-as-all", True)])
+def test_a_list_that_says_that_it_is_a_part_may_be_one(judge_foreign: Judge, lie: str, accused: bool) -> None:
+    described = LISTS, f'{LISTS}\nresult.truncated = "more"'
+    results = judge_foreign("opcua-items", lie=lie, tasks="OUA-006.opcua", described=described)
+    assert ("or the answer should say that it is a part" in words(results)) is accused, words(results)
+
+
 TOO_EARLY = {
     ("mqtt-handle", "publishes-later"): ("CON-004.mqtt TMO-004.mqtt", "MQT-001"),
     ("mqtt-handle", "subscribes-later"): ("CON-006.mqtt", "MQT-002"),
