@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -40,6 +41,7 @@ __all__ = [
     "nothing_arrived",
     "polls",
     "read",
+    "reads_anything",
     "refused_before_the_wire",
     "reset",
     "said_of_repetitions",
@@ -76,6 +78,16 @@ def _is_read(at: Rig, asked: Asked) -> bool:
     # A call that does not wait for messages returns what came before, so the device need not be there.
     waits = protocols()[at.protocol].operations[asked.operation].waits
     return at.can_ask(asked.operation, asked.inputs) and (waits is None or at.subject.blocks(asked.operation))
+
+
+def reads_anything(at: Rig) -> bool:
+    """Tell whether the subject has the read of the exercise, a call that takes its place, or a status."""
+    proof, rng = protocols()[at.protocol].proof, random.Random(0)
+    asked = [
+        exercise(at).read(rng),
+        *(Asked(operation=one.operation, inputs=one.made(rng)) for one in proof.unreachable),
+    ]
+    return any(_is_read(at, one) for one in asked)
 
 
 def some_write(run: Repetition, at: Rig) -> Asked | None:
