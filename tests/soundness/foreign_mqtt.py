@@ -85,7 +85,8 @@ class Link:
         with self._changed:
             self._changed.wait_for(lambda: mid in self._answers or not self.client.is_connected(), ANSWER_S)
             if mid not in self._answers:
-                raise Failure("offline", "not connected")
+                lost = "the broker does not answer" if self.client.is_connected() else "not connected"
+                raise Failure("offline", lost)
             return int(self._answers[mid])
 
     def next(self, seconds: float) -> dict[str, str] | None:
@@ -103,7 +104,11 @@ class Link:
 
     def subscribe(self, filter: str, qos: int) -> int:
         self.require()
-        return self.wait(self.client.subscribe(filter, qos)[1])
+        try:
+            mid = self.client.subscribe(filter, qos)[1]
+        except ValueError:
+            raise Failure("invalid", "the filter is none") from None
+        return self.wait(mid)
 
     def subscribe_later(self, filter: str, qos: int) -> None:
         threading.Timer(LATER_S, self.client.subscribe, (filter, qos)).start()
@@ -241,7 +246,9 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
         try:
             if lie == "clamps-qos":
                 qos = min(qos, 2)
-            if qos not in (0, 1, 2):
+            if lie == "refuses-null" and "\0" in topic_filter:
+                raise Failure("invalid", "the filter must not hold a null character")
+            if isinstance(qos, bool) or qos not in (0, 1, 2):
                 if lie == "applied-nevertheless":
                     await asyncio.to_thread((await link()).subscribe, topic_filter, 2)
                 raise Failure("invalid", "qos must be less than or equal to 2")
@@ -273,6 +280,8 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
             return bad(Failure("invalid", "the topic must not be empty"))
         if NO_NAME.intersection(topic):
             return bad(Failure("invalid", "the topic must not hold a wildcard or a null character"))
+        if isinstance(qos, bool) or qos not in (0, 1, 2):
+            return bad(Failure("invalid", "qos must be less than or equal to 2"))
         try:
             if lie == "publishes-later":
                 (await link()).publish_later(topic, message, qos)

@@ -75,7 +75,7 @@ def opcua_items(lie: str | None, read_only: bool) -> Shape:
             if lie == "applied-nevertheless" and not fits:
                 kind, value = ua.VariantType.Double, 0.0
                 await node.write_attribute(ua.AttributeIds.Value, ua.DataValue(ua.Variant(value, kind)))
-            if not fits:
+            if not fits or (lie == "writes-no-booleans" and kind == ua.VariantType.Boolean):
                 return {"node": name, "status": "BadTypeMismatch"}
             if kind == ua.VariantType.Double:
                 value = float(value)

@@ -204,6 +204,32 @@ def test_a_lie_fails_exactly_its_tasks(judge_foreign: Judge, name: str, lie: str
     assert {result["status"] for result in results.values()} <= {"PASS", "FAIL", "NOT_APPLICABLE"}
 
 
+NEIGHBOURS = [
+    # What is bent is no lie: each is close to what a check forbids, and keeps it.
+    (
+        "mqtt-handle",
+        "refuses-null",
+        "ADR-007.mqtt FQ2",
+        ('"^invalid", code = "invalid_input"', '"^invalid", code = "range_overflow"'),
+    ),
+    ("mqtt-handle", None, "ENV-003.mqtt", None),
+    ("mqtt-connect", None, "ERR-005.mqtt TMO-003.mqtt", None),
+    ("opcua-items", None, "TMO-003.opcua", None),
+    ("opcua-items", "writes-no-booleans", "CON-004.opcua", None),
+    ("modbus-prose", None, "WR-012.modbus", None),
+    ("modbus-prose", "reads-back", "WR-012.modbus", None),
+]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "lie", "tasks", "described"), NEIGHBOURS)
+def test_an_adapter_that_is_close_to_what_a_check_forbids_passes_it(
+    judge_foreign: Judge, name: str, lie: str | None, tasks: str, described: tuple[str, str] | None
+) -> None:
+    results = judge_foreign(name, lie=lie, tasks=tasks, described=described)
+    assert passing(results) == set(tasks.split()), words(results)
+
+
 LISTS = "result.node_ids = \"items[?class == 'Variable'].node\""
 
 
