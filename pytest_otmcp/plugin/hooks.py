@@ -5,11 +5,11 @@ In a run without conformance items the plugin does nothing and imports nothing h
 
 from __future__ import annotations
 
-import difflib
 import json
 import time
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,7 +45,7 @@ from .fixtures.definitions import (
 )
 from .options import add_options, read_settings
 from .parallel import UNFINISHED, ended, untaken
-from .selected import refuse, required_tasks, select_adapters
+from .selected import known_rows, refuse, required_tasks, select_adapters
 from .stash import ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
 
 if TYPE_CHECKING:
@@ -107,7 +107,8 @@ def pytest_configure(config: pytest.Config) -> None:
         # A mistake in the ini must not prevent the user from reading how to correct it.
         return
     try:
-        config.stash[SETTINGS] = read_settings(config)
+        settings = read_settings(config)
+        config.stash[SETTINGS] = replace(settings, only=known_rows(settings.only))
     except UsageError as error:
         refuse(error)
     default_to_suite(config)
@@ -205,7 +206,6 @@ def pytest_collection_modifyitems(
 
     with ignore_warnings():
         required = list(required_tasks(config))
-    _check_rows(config.stash[SETTINGS].only)
     tasks = _drop_unrequired_items(items, required)
     interference = config.stash[INTERFERENCE] = Interference(config)
     interference.note_collected(items)
@@ -226,27 +226,6 @@ def _drop_unrequired_items(items: list[pytest.Item], required: list[str]) -> dic
     tasks = {item: task for item, task in _shipped_tasks(items).items() if task.id in required}
     items[:] = [item for item in items if item in tasks or not is_shipped(item.path) or task_of(item) is None]
     return tasks
-
-
-def _check_rows(asked: tuple[str, ...]) -> None:
-    """End the run when there is no check of a row that was asked for."""
-    from ..suite.catalogue import all_tasks
-    from ..suite.requirements import requirements
-
-    checks = [task for task in all_tasks().values() if task.suite == REQUIREMENTS] if asked else []
-    known = {name for task in checks for name in (task.id, *task.requirements)}
-    for name in asked:
-        if name in known:
-            continue
-        if name in requirements():
-            refuse(
-                UsageError(
-                    f"--otmcp-only: {name} has no check of its own; otmcp explain {name} says where it is judged"
-                )
-            )
-        near = difflib.get_close_matches(name.upper(), sorted(known), 1)
-        hint = f"did you mean {near[0]}?" if near else "'otmcp docs checks' lists them"
-        refuse(UsageError(f"--otmcp-only: there is no row or check {name!r}; {hint}"))
 
 
 def _mark_items(tasks: dict[pytest.Item, Task]) -> None:

@@ -403,6 +403,7 @@ def screen(told: str) -> list[str]:
     return lines
 
 
+@pytest.mark.long
 def test_a_narrow_terminal_without_colours_shows_progress_and_no_line_breaks_at_its_edge(
     repository: Repository,
 ) -> None:
