@@ -29,16 +29,18 @@ def some_command(run: Repetition, at: Rig) -> Asked:
 
 
 async def asked_of_the_device(at: Rig, asked: Asked, reply: Reply) -> Entries:
-    """Return what reached the device during a call that writes; of a named command, and of what no device confirms, also what has come
-    since.
+    """Return what reached the device during a call that writes; of a named command, and of a success that the device had seen nothing of,
+    also what has come since.
 
-    What a command sends may need no answer, as a message of QoS 0, and is on its way then when the call is answered.
+    What needs no answer, as a message of QoS 0, may be on its way when the call is answered.
     """
-    if not (asked.unconfirmed or at.by_command_alone(asked.operation) or asked.then):
-        return reply.during(await at.journal())
-    if reply.success and len(_done(at, asked, _since(reply, await at.journal()))) < 1 + len(asked.then):
+    several, entries = at.by_command_alone(asked.operation) or asked.then, await at.journal()
+    seen = _done(at, asked, _since(reply, entries) if several else reply.during(entries))
+    if not several and (seen or not reply.success):
+        return reply.during(entries)
+    if reply.success and len(seen) < 1 + len(asked.then):
         await at.watch(_LATE_S)
-    return _since(reply, await at.journal())
+    return _since(reply, await at.journal() if reply.success else entries)
 
 
 async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: str | None = None) -> None:

@@ -12,6 +12,7 @@ from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.entries import as_modbus
 from pytest_otmcp.protocols.modbus.entries import points as registers_of
+from pytest_otmcp.protocols.mqtt.oracle import not_granted
 from pytest_otmcp.protocols.oracle import state_changing
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
@@ -21,11 +22,14 @@ from pytest_otmcp.trial.rig import Rig
 
 from .steps import (
     CONNECTION_FAULTS,
+    QUIET_S,
     a_read_works,
     answers_again,
     exercise,
     faulty,
+    read,
     silence,
+    since,
     witness,
     written_once,
 )
@@ -437,10 +441,13 @@ async def messages_are_published_beside_each_other(run: Repetition, mqtt: Rig) -
     replies = await run.together(*(mqtt.call(one.operation, **one.inputs) for one in (*asked, *reads)))
     for reply in replies:
         run.succeeds(reply, requirement="CON-004")
+    done = [(one, reply) for one, reply in zip(asked, replies, strict=False) if reply.success]
     entries = await mqtt.journal()
-    for one, reply in zip(asked, replies, strict=False):
-        if reply.success:
-            run.witnessed(written_once(mqtt, one, entries, requirement="CON-004"))
+    if not all(asks.done(entries, one) for one, _ in done):
+        await mqtt.watch(QUIET_S)
+        entries = await mqtt.journal()
+    for one, reply in done:
+        run.witnessed(written_once(mqtt, one, reply, entries, requirement="CON-004"))
 
 
 # -- CON-005, CON-006 ---------------------------------------------------------------------------------------
@@ -492,14 +499,12 @@ async def many_calls_need_few_connections(run: Repetition, at: Rig) -> None:
     Seen: a request for each of them; never more than eight connections at the same time.
     Why: a controller has room for a few clients; a connection for each call locks out the operator.
     """
-    asked, replies = None, []
+    made: list[tuple[Asked, Reply]] = []
     for _ in range(_CONSECUTIVE[run.soak]):
-        asked = exercise(at).read(run.rng)
-        for poke in asked.pokes:
-            await at.device.poke(**poke)
-        replies.append(await at.call(asked.operation, **asked.inputs))
-        run.succeeds(replies[-1], requirement="CON-006", **asked.outputs)
-    assert asked is not None
+        made.append(await read(run, at))
+        asked, reply = made[-1]
+        run.succeeds(reply, requirement="CON-006", **asked.outputs)
+    asked = made[-1][0]
     together = await run.together(*(at.call(asked.operation, **asked.inputs) for _ in range(32)))
     for reply in together:
         if reply.success is False:
@@ -507,15 +512,27 @@ async def many_calls_need_few_connections(run: Repetition, at: Rig) -> None:
         else:
             run.succeeds(reply, requirement="CON-006", **asked.outputs)
     entries = await at.journal()
-    silent = [
-        reply for reply in replies if reply.success and not any(entry["request"] for entry in reply.during(entries))
-    ]
+    silent = [one for one in made if one[1].success and not any(entry["request"] for entry in one[1].during(entries))]
     if silent:
-        message = f"{silent[0].label}: the device should have been asked in each of {len(replies)} calls, it was not in {len(silent)}"
+        await at.watch(QUIET_S)
+        entries = await at.journal()
+    late = [reply for asked, reply in silent if _subscribed_after(at, asked, reply, entries)]
+    if late:
+        message = f"{late[0].label}: it claims success, and the device saw the request only after that"
         run.finding(
-            "no_exchange", message, "CON-006", evidence=protocols()[at.protocol].seen(silent[0].during(entries))
+            "told_too_early", message, "MQT-002", evidence=protocols()[at.protocol].seen(since(late[0], entries))
+        )
+    if unasked := [reply for _, reply in silent if reply not in late]:
+        message = f"{unasked[0].label}: the device should have been asked in each of {len(made)} calls, it was not in {len(unasked)}"
+        run.finding(
+            "no_exchange", message, "CON-006", evidence=protocols()[at.protocol].seen(unasked[0].during(entries))
         )
     run.witnessed(_connections(at, await at.session_journal()))
+
+
+def _subscribed_after(at: Rig, asked: Asked, reply: Reply, entries: Entries) -> bool:
+    """Tell whether a call that was a success subscribed only after its answer."""
+    return at.protocol == "mqtt" and not not_granted(since(reply, entries), asked.inputs.get("filter", ""))
 
 
 def _connections(at: Rig, entries: Entries) -> list[Finding]:

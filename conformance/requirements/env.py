@@ -225,7 +225,7 @@ async def the_trace_is_the_wire(run: Repetition, at: Rig) -> None:
         _, reply = await step(run, at)
         run.succeeds(reply)
         _has_facts(run, at, reply)
-    _has_facts(run, at, await refused_by_the_device(run, at, requirement="ERR-001"))
+    _has_facts(run, at, await refused_by_the_device(run, at))
     await a_read_works(run, at)
 
 

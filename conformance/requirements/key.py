@@ -29,7 +29,7 @@ async def no_secret_is_told(run: Repetition, at: Rig) -> None:
     asked = exercise(at).read(run.rng)
     if at.arguments_of(asked.operation, **asked.inputs) is not None:
         await at.call_altered(asked.operation, Alteration(given={UNKNOWN_ARGUMENT: 7}), role="control", **asked.inputs)
-    await refused_by_the_device(run, at, requirement="ERR-001")
+    await refused_by_the_device(run, at)
     await _lose_the_connection(run, at)
     if at.subject.reconnects:
         await _start_without_the_device(run, at)

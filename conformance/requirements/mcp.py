@@ -263,7 +263,7 @@ async def the_list_stays(run: Repetition, at: Rig) -> None:
         await a_write_works(run, at)
         await refused_by_the_adapter(run, at)
     if can_read(run, at):
-        await refused_by_the_device(run, at, requirement="ERR-001")
+        await refused_by_the_device(run, at)
     _same_list(run, at, first, await at.session.listed_tools(), "after calls that succeed and calls that fail")
     await _meet_hostile_names(run, at)
     _same_list(

@@ -45,7 +45,8 @@ def _everything(reply: Reply) -> list[object]:
 
 
 def _truncated(reply: Reply) -> bool:
-    return bool(reply.member("meta", "truncated"))
+    """Tell whether an answer says that it is a part, in its envelope or where the subject file says."""
+    return bool(reply.member("meta", "truncated") or reply.outputs.get("truncated"))
 
 
 def _wrong(reply: Reply, requirement: str, expected: str, found: object) -> Finding:
@@ -418,7 +419,7 @@ async def browsing_is_complete(run: Repetition, opcua: Rig) -> None:
     request. Browse a folder with 2 500 variables, in a soak 10 000, while the server sends 100 references in one answer. Browse a node
     that the server does not have.
 
-    Said: every node once; or a part of them, and in `meta.truncated` that it is a part. For the missing node a failure with
+    Said: every node once; or a part of them, and in `meta.truncated`, or the output `truncated`, that it is a part. For the missing node a failure with
         `illegal_address`, or with `invalid_input` by an adapter with a list of nodes of its own.
     Seen: no continuation point is left open.
     Why: an empty list says that a folder has nothing in it, not that there is no such folder; the first page looks like the whole plant, a circle like a plant without end, and a server has few continuation points.

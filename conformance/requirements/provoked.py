@@ -76,20 +76,21 @@ async def refused_by_the_adapter(run: Repetition, at: Rig) -> Reply | None:
     return reply
 
 
-async def refused_by_the_device(run: Repetition, at: Rig, *, requirement: str = "") -> Reply:
+async def refused_by_the_device(run: Repetition, at: Rig) -> Reply:
     """Read while the device refuses it, and expect a failure, whatever its code.
 
     An adapter may get at its data in another way, which the device does not refuse: then nothing is expected.
-
-    Args:
-        requirement: id of the requirement that a success breaks; without it the one that the operation's result is about.
     """
     await at.device.fault(*exercise(at).refused)
     asked, reply = await read(run, at)
     await at.device.fault()
     if await met(at, reply):
-        own = protocols()[at.protocol].operations[asked.operation].requirement
-        expect_failure(run, reply, requirement=requirement or own)
+        known = protocols()[at.protocol]
+        own = asked.operation
+        if known.exercise is not None and at.subject.blocks(own):
+            # A call that waits has subscribed for itself.
+            own = known.exercise.reading
+        expect_failure(run, reply, requirement=known.operations[own].requirement)
     return reply
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -40,6 +41,7 @@ __all__ = [
     "nothing_arrived",
     "polls",
     "read",
+    "reads_anything",
     "refused_before_the_wire",
     "reset",
     "said_of_repetitions",
@@ -76,6 +78,16 @@ def _is_read(at: Rig, asked: Asked) -> bool:
     # A call that does not wait for messages returns what came before, so the device need not be there.
     waits = protocols()[at.protocol].operations[asked.operation].waits
     return at.can_ask(asked.operation, asked.inputs) and (waits is None or at.subject.blocks(asked.operation))
+
+
+def reads_anything(at: Rig) -> bool:
+    """Tell whether the subject has the read of the exercise, a call that takes its place, or a status."""
+    proof, rng = protocols()[at.protocol].proof, random.Random(0)
+    asked = [
+        exercise(at).read(rng),
+        *(Asked(operation=one.operation, inputs=one.made(rng)) for one in proof.unreachable),
+    ]
+    return any(_is_read(at, one) for one in asked)
 
 
 def some_write(run: Repetition, at: Rig) -> Asked | None:
@@ -164,11 +176,23 @@ async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001
         asked.operation, window_s=at.subject.recovery_s, from_first_call=True, **asked.inputs
     )
     run.succeeds(replies[-1], requirement=requirement, **asked.outputs)
+    if replies[-1].success and at.subject.blocks(asked.operation):
+        await _over_a_connection_that_lives(run, at, replies[-1], requirement)
     known = protocols()[at.protocol].exercise
     if known is not None and exercise(at).writing in [one.operation for one in known.otherwise]:
         # A Sparkplug host may command what it has heard of, and the proof has the nodes born again.
         at.doubt()
     return replies[-1]
+
+
+async def _over_a_connection_that_lives(run: Repetition, at: Rig, reply: Reply, requirement: str) -> None:
+    """Expect of a call that waited, and may have waited in vain, that what it sent was not sent to an end that has vanished."""
+    seen = reply.during(await at.journal())
+    if any(entry["kind"] == "lost" for entry in seen) and not any(entry["answers"] is not None for entry in seen):
+        message = (
+            f"{reply.label}: it claims success, and the device answered nothing: its end of the connection has vanished"
+        )
+        run.judge(reply, [Finding(code="no_exchange", message=message, requirement=requirement)])
 
 
 async def read(run: Repetition, at: Rig) -> tuple[Asked, Reply]:
@@ -195,26 +219,38 @@ async def a_write_works(run: Repetition, at: Rig, *, requirement: str | None = N
     """Write a random value, as the positive control beside what must be refused: said, and done once."""
     asked, reply = await write(run, at)
     run.succeeds(reply, requirement=requirement, **asked.outputs)
-    run.witnessed(written_once(at, asked, await asked_of_the_device(at, asked, reply), requirement=requirement))
+    entries = await asked_of_the_device(at, asked, reply)
+    run.witnessed(written_once(at, asked, reply, entries, requirement=requirement))
 
 
-def written_once(at: Rig, asked: Asked, entries: Entries, *, requirement: str | None = None) -> list[Finding]:
-    """Expect that what a write asked for reached the device once.
+def written_once(
+    at: Rig, asked: Asked, reply: Reply, entries: Entries, *, requirement: str | None = None
+) -> list[Finding]:
+    """Expect that what a write asked for reached the device once, and that the device had seen it when the call was a success.
 
     Args:
-        requirement: id of the requirement that anything else breaks; None is WR-001 for no write, WR-003 for several.
+        entries: see :func:`asked_of_the_device`.
+        requirement: id of the requirement that another number of them breaks; None is WR-001 for none, WR-003 for several.
     """
     found = exercise(at).done(entries, asked)
-    count = len(found)
-    if count == 1:
+    count, seen = len(found), protocols()[at.protocol].seen(entries)
+    if not (count or reply.success):
         return []
+    if count == 1:
+        received_ns = reply.exchange.received_ns
+        late = reply.success and received_ns is not None and found[0]["t_ns"] > received_ns
+        broken = exercise(at).too_late(found[0]) if late else None
+        if broken is None:
+            return []
+        message = f"{reply.label}: it claims success, and the device saw the request only after that"
+        return [Finding(code="told_too_early", message=message, requirement=broken, evidence=seen)]
     return [
         Finding(
             code="not_written_once",
             message=f"{at.protocol}: the device should have seen the write of {dict(asked.inputs)} once, it saw it {count} times"
             + said_of_repetitions(at, entries, found),
             requirement=requirement or ("WR-003" if count else "WR-001"),
-            evidence=protocols()[at.protocol].seen(entries),
+            evidence=seen,
         )
     ]
 

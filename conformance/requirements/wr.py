@@ -13,7 +13,7 @@ from typing import Any, cast
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.bounds import Limit
 from pytest_otmcp.protocols.exercise import Asked, Limited
-from pytest_otmcp.protocols.journal import Entries, JournalEntry
+from pytest_otmcp.protocols.journal import ADAPTER, Entries, JournalEntry
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.entries import as_modbus, describe, points
 from pytest_otmcp.protocols.mqtt.commands import SCAN_RATE, asks_for_births
@@ -30,7 +30,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.wire.mqtt.sparkplug import parse_topic
 
-from ..commanded import carried_out
+from ..commanded import asked_of_the_device, carried_out
 from ..commanded import guarded as guarded_command
 from ..tasks.common import UNCERTAIN, a_meaningless_switch_enables_nothing, each_fails, each_write
 from .steps import (
@@ -46,6 +46,7 @@ from .steps import (
     faulty,
     nothing_arrived,
     polls,
+    reads_anything,
     reset,
     said_of_repetitions,
     silence,
@@ -61,6 +62,9 @@ TASKS = Checks()
 
 _LATE_S = 0.2
 """Seconds by which an answer is late, well below every timeout."""
+
+_SHUTTING_DOWN = 0x8B
+"""Reason code of a broker that ends a connection."""
 
 _VALVE = "ns=2;s=ValvePosition"
 _SENSOR = "ns=2;s=Temperature"
@@ -565,7 +569,8 @@ async def _is_written(at: Rig, reply: Reply, asked: Asked, requirement: str) -> 
     image: Any = await at.device.image()
     if asked.points.keys() <= image["points"].keys():
         return citing(requirement, witness(at).holds(image, asked.points))
-    return written_once(at, asked, reply.during(await at.journal()), requirement=requirement)
+    entries = await asked_of_the_device(at, asked, reply)
+    return written_once(at, asked, reply, entries, requirement=requirement)
 
 
 async def _refused(
@@ -834,16 +839,19 @@ _WATCHED_S = {False: 2.5, True: 60.0}
 """Seconds for which nothing of it must arrive, in the short and in the long form: also what a timer of two seconds sends."""
 
 
-@TASKS.every_protocol("WR-010", "What failed is not carried out later.", writes=True, facets="recovery", status=True)
+@TASKS.every_protocol("WR-010", "What failed is not carried out later.", reads=False, writes=True, facets="recovery")
 async def what_failed_is_not_made_up_for(run: Repetition, at: Rig) -> None:
     """Write twice while the device is away: before the adapter has noticed that, and after; and once by every other operation that
-    writes. Read when it is back.
+    writes. Read when it is back. An adapter without any read, or status, writes while the device takes no client, and once it does again.
 
     Said: failures of the connection for the writes, success for the reads.
     Seen: none of them, at whatever place, as long as the device is watched, in a soak for a minute.
     Why: a valve that opens when the line is back, minutes after the operator was told that it had not, hurts somebody.
     """
     writes = [exercise(at).write(run.rng), *each_write(run, at)]
+    if not reads_anything(at):
+        await _while_no_client_is_taken(run, at, writes)
+        return
     await at.prove()
     await at.stop_device()
     await each_fails(run, at, writes, code_requirement="ERR-005")
@@ -855,6 +863,30 @@ async def what_failed_is_not_made_up_for(run: Repetition, at: Rig) -> None:
     await a_read_works(run, at, requirement="REC-001")
     run.witnessed(nothing_arrived(at, await at.journal(), requirement="WR-010"))
     await a_write_works(run, at)
+
+
+async def _while_no_client_is_taken(run: Repetition, at: Rig, writes: Sequence[Asked]) -> None:
+    """Write while the device ends every connection: were it away, nothing would show that the adapter does not go over to another one."""
+    if at.protocol != "mqtt":
+        run.not_applicable("the subject has no read, and no status, that shows whether the device is there")
+    await at.prove()
+    await at.device.fault({"packet": "CONNECT", "action": {"reset": True}})
+    await at.device.poke(disconnect={"client_id": None, "reason_code": _SHUTTING_DOWN})
+    begun = len(await at.journal())
+    await each_fails(run, at, writes, code_requirement="ERR-005")
+    await at.device.fault()
+    if not at.subject.reconnects:
+        await at.fresh_session()
+    await at.wait_for(
+        kind="CONNACK", direction="out", timeout_s=at.subject.recovery_s, count=1 + _connected(await at.journal())
+    )
+    await at.watch(_WATCHED_S[run.soak])
+    run.witnessed(nothing_arrived(at, (await at.journal())[begun:], requirement="WR-010"))
+    await a_write_works(run, at, requirement="REC-001")
+
+
+def _connected(entries: Entries) -> int:
+    return sum(entry["kind"] == "CONNACK" and entry["origin"] == ADAPTER for entry in entries)
 
 
 @TASKS.check("WR-011", "Bits are changed by one step at the device.", needs="modbus.mask_write")

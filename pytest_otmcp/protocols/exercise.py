@@ -61,7 +61,6 @@ class Asked:
         sent: what the request that writes says beside the value, such as a control code, by the names of ``says``.
         then: what the same call asks of the device after that, in this order, where a named command has several effects.
         condition: of a fault plan, which the requests of this call meet, and those of calls for something else do not.
-        unconfirmed: the device confirms no request of this call, which may still be on its way when the call is answered.
     """
 
     operation: str
@@ -72,7 +71,6 @@ class Asked:
     sent: Mapping[str, object] = field(default_factory=dict)
     then: tuple[Asked, ...] = ()
     condition: Rule = field(default_factory=dict)
-    unconfirmed: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,6 +180,10 @@ def _no_refusals(entry: JournalEntry) -> Sequence[str]:
     return ()
 
 
+def _must_be_done(entry: JournalEntry) -> str | None:
+    return "WR-001"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waiting:
     """A read by a call that waits for what it answers, for adapters that have no other one.
@@ -226,6 +228,8 @@ class Exercise:
         number: the input of the write that is a number of limited range; None where there is none.
         bounded: inputs of the read and the write whose range the protocol itself limits.
         done: returns the requests among entries that ask the device for what a write asks for.
+        too_late: id of the requirement that a success breaks which is told before the device sees this request that writes; None where no
+            device confirms such a request, which may be on its way then.
         reads, writes: the conditions of a fault plan that the requests of the read, or of the write, meet, in whichever way an
             adapter makes them.
         silent: rules with which the device takes every request and never answers.
@@ -309,6 +313,7 @@ class Exercise:
     texts: Texts | None = None
     device_texts: Callable[[str], tuple[DeviceText, ...]] | None = None
     points_of: Callable[[str, Mapping[str, Any]], Mapping[str, object]] = _no_points
+    too_late: Callable[[JournalEntry], str | None] = _must_be_done
     recognised: Mapping[str, Callable[[JournalEntry, Asked], bool]] = field(default_factory=dict)
     changing: tuple[Rule, ...] = ()
     commanded: Callable[[random.Random], tuple[Asked, ...]] | None = None

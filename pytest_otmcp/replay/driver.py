@@ -14,6 +14,7 @@ from ..record.reader import StoredItem
 from ..record.schema import Around, Role, Sample
 from ..session.canary import Leak
 from ..subject.model import READ_WRITE
+from ..trial.asked_for import AskedFor
 from ..trial.driver import ItemHistory, SessionFacts
 from ..trial.repetition import Repetition
 from ..trial.rig import EndedError, Rig, adapter_name
@@ -107,10 +108,10 @@ class ReplayDriver:
             raise HistoryError(f"{' and '.join(missing)} did not take part")
         await self.open_sessions()
 
-    def before(self) -> Sequence[tuple[str, Entries, Declared]]:
+    def before(self) -> Sequence[tuple[str, Entries, Declared, AskedFor]]:
         """Return what had reached the devices while nobody called their adapters."""
         return [
-            (state.protocol, state.found["before"], state.adapter.facts["lists"])
+            (state.protocol, state.found["before"], state.adapter.facts["lists"], state.history.cursor.asked_for)
             for state in self._states
             if state.found["quiet"]
         ]

@@ -13,6 +13,7 @@ from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from ..protocols.session_oracle import SessionOracle
 from ..record.schema import SessionProof, SessionStart
+from .asked_for import AskedFor
 from .ledger import Entry
 
 __all__ = ["JournalCursor", "Oracle"]
@@ -38,6 +39,7 @@ class JournalCursor:
         refused: the item in which the session could not be proven, and the reason; or None.
         preferred: the operation that proved any session of the adapter last.
         arrived: the device saw a client arrive since the session began.
+        asked_for: what the adapter's calls have asked for, in every session.
     """
 
     def __init__(self, protocol: str, first: int = 0) -> None:
@@ -57,6 +59,7 @@ class JournalCursor:
         self.refused: tuple[str, str] | None = None
         self.preferred: str | None = None
         self.arrived = False
+        self.asked_for = AskedFor()
 
     @property
     def hopeless(self) -> bool:

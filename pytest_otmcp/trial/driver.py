@@ -16,6 +16,7 @@ from ..protocols.journal import Entries
 from ..protocols.protocol import Declared
 from ..record.schema import ItemDevice, Role, SessionRemark, ToldSecret, ToolsChanged
 from ..session.canary import Leak
+from .asked_for import AskedFor
 from .repetition import Repetition
 from .task import Steps
 
@@ -106,8 +107,8 @@ class TrialDriver(Protocol):
     async def prepare(self) -> None:
         """Bring the devices into their initial state and open the sessions."""
 
-    def before(self) -> Sequence[tuple[str, Entries, Declared]]:
-        """Return the protocol and the journal of each device whose adapter was not called since its last item."""
+    def before(self) -> Sequence[tuple[str, Entries, Declared, AskedFor]]:
+        """Return the protocol and the journal of each device whose adapter was not called since its last item, and what was asked for."""
 
     def repetition(self, rep: int, role: Role) -> Repetition:
         """Return the next repetition, ready to be performed."""

@@ -107,7 +107,15 @@ def _judge_by_journal(at: Rig, ledger: Ledger) -> None:
         ledger.witnessed(faults)
     ledger.witnessed(connections_left(entries))
     known = {finding.code for finding in ledger.findings}
-    unasked = unasked_writes(made, entries, protocol=protocol, declared=at.subject.declared, variant=at.variant)
+    unasked = unasked_writes(
+        made,
+        entries,
+        protocol=protocol,
+        declared=at.subject.declared,
+        variant=at.variant,
+        asked_for=at.asked_for,
+        item=ledger.item,
+    )
     for finding, reader in unasked:
         if reader is not None and finding.requirement == "MCP-008":
             ledger.caused_by(reader.reply.tool, _CONSEQUENCES)

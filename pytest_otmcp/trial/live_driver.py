@@ -18,6 +18,7 @@ from ..record.schema import Role, SessionRemark
 from ..session.process import StopReport
 from ..subject.model import READ_ONLY, READ_WRITE
 from .applicability import applicability, participants
+from .asked_for import AskedFor
 from .bench import Bench
 from .driver import ItemHistory, SessionFacts
 from .gc_pause import uncollected
@@ -75,10 +76,15 @@ class LiveDriver:
             await state.enter()
         await self.open_sessions()
 
-    def before(self) -> Sequence[tuple[str, Entries, Declared]]:
+    def before(self) -> Sequence[tuple[str, Entries, Declared, AskedFor]]:
         """Return what reached the devices while nobody called their adapters."""
         return [
-            (state.under_test.adapter.protocol, state.found["before"], state.under_test.adapter.lists)
+            (
+                state.under_test.adapter.protocol,
+                state.found["before"],
+                state.under_test.adapter.lists,
+                state.under_test.cursor.asked_for,
+            )
             for state in self._states
             if state.entered and state.found["quiet"]
         ]

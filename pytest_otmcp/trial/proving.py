@@ -175,10 +175,12 @@ async def why_reachable(at: Provable, *, time_scale: float) -> str | None:
         failures = failures + 1 if _is_cut_off(reply) else 0
         if not failures:
             if reply.exchange.sent_ns - begun_ns >= _NOTICING_S * time_scale * 1e9:
-                return (
-                    f"the mock device at {at.device.url} is stopped, and {reply.label} still succeeds: the answer comes from "
-                    f"memory or from another device; nothing was written"
+                came = (
+                    " and brings nothing, as if the device had nothing to say"
+                    if _brings_nothing(reply)
+                    else ": the answer comes from memory or from another device"
                 )
+                return f"the mock device at {at.device.url} is stopped, and {reply.label} still succeeds{came}; nothing was written"
             await at.pause(_PAUSE_S)
     return None
 
@@ -188,14 +190,24 @@ def _is_cut_off(reply: Reply) -> bool:
     return not reply.success or any(value is False for value in reply.outputs.values())
 
 
+def _brings_nothing(reply: Reply) -> bool:
+    return bool(reply.outputs) and all(value in ([], {}, "") for value in reply.outputs.values())
+
+
 def _explained(at: Provable, failed: Sequence[_Attempt], *, known: bool) -> str:
     told = next((attempt for attempt in failed if attempt.reply.success and not attempt.reached), None)
     where = f"the mock device at {at.device.url}"
     if told is not None:
-        # An adapter that answers, while the mock sees nothing, has its answers from somewhere else.
+        # An adapter that answers, while the mock sees nothing, has its answers from somewhere else, if they say anything.
+        named = _named(at, failed)
+        whence = (
+            "The answer brings nothing, from wherever"
+            if _brings_nothing(told.reply) and not named
+            else f"The answer is from another device or from memory{named}"
+        )
         problem = (
             f"the adapter does not talk to {where}: {told.reply.label} succeeded, but the mock saw nothing of it, and the random "
-            f"value that was set there did not come back. The answer is from another device or from memory{_named(at, failed)}"
+            f"value that was set there did not come back. {whence}"
         )
     elif any(attempt.reached for attempt in failed):
         reply = next(attempt for attempt in failed if attempt.reached).reply

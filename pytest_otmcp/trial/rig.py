@@ -21,6 +21,7 @@ from ..record.schema import DeviceEntry, Footprint, Role
 from ..subject.command import Command, names_in
 from ..subject.model import READ_WRITE, Binding
 from .alteration import Alteration
+from .asked_for import AskedFor
 from .cursor import Oracle
 from .ledger import Entry, Ledger
 from .limits import excess
@@ -339,6 +340,11 @@ class Rig(WriteGate):
     def session_faults(self) -> list[Finding]:
         """Return what is wrong with the session as such, as far as its device has seen it; each fault once."""
         return self._cursor.take_faults()
+
+    @property
+    def asked_for(self) -> AskedFor:
+        """What the adapter's calls have asked for, in earlier items as well."""
+        return self._cursor.asked_for
 
     async def prove_first(self) -> None:
         """Prove the session before the steps, with a slice of the journal of its own: the steps' slice begins after it."""

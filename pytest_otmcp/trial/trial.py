@@ -14,6 +14,7 @@ from typing import Literal, cast
 from ..core.errors import ExhaustedError, KitError, MeddledError, NoBindingError, SubjectError
 from ..core.exhaustion import exhausted
 from ..core.finding import Finding, Kind, kind_of
+from ..protocols.registry import protocols
 from ..protocols.unsolicited import nothing_commanded
 from ..record.schema import Around, DeviceEntry, Ended, ItemBody, Role, Sample, State, ToolsChanged
 from ..session.limits import TOO_LARGE
@@ -26,6 +27,7 @@ from .rig import adapter_name
 from .stored import stored_calls, stored_finding
 from .strangers import Strangers
 from .task import Steps, Task
+from .unasked_writes import delivered_before
 
 __all__ = ["Repetition", "Trial"]
 
@@ -187,8 +189,11 @@ class Trial:
         """Judge what reached the devices since the last item that had them."""
         for at, found in self._driver.history()["devices"].items():
             self._strangers.take(at, found["before"], watched=False)
-        for protocol, entries, declared in self._driver.before():
-            for finding in nothing_commanded(protocol, entries, declared):
+        for protocol, entries, declared, asked_for in self._driver.before():
+            again, others = delivered_before(entries, protocols()[protocol], asked_for=asked_for, item=self._task.id)
+            for finding in again:
+                self._add(finding)
+            for finding in nothing_commanded(protocol, others, declared):
                 when = "before this item, when nobody called the adapter"
                 self._add(replace(finding, message=f"{protocol}: {when}: {finding.message}"))
 

@@ -1,8 +1,8 @@
 """Finds what changed the plant without having been asked for, in any repetition of any task. Pure.
 
 A call of an operation that writes accounts for one request that changes the plant, one of a named command with several effects for as
-many, any other call for none. Whatever else the
-device saw of that kind is a finding: of the read that wrote, of the guard that leaked, of the write that was sent again.
+many, any other call for none. Whatever else the device saw of that kind is a finding: of the read that wrote, of the guard that leaked, of
+the write that was sent again, be it in a later item.
 To cancel a call is advice (MCP, Cancellation): a write that is carried out once although the kit has cancelled it is a warning.
 """
 
@@ -15,14 +15,22 @@ from ..protocols.exercise import THEN
 from ..protocols.journal import Entries, JournalEntry
 from ..protocols.protocol import Declared, OtProtocol
 from ..subject.model import READ_ONLY
+from .asked_for import Again, AskedFor
 from .call_windows import LATE_NS, CallWindow
 from .ledger import Judged
 
-__all__ = ["unasked_writes"]
+__all__ = ["delivered_before", "unasked_writes"]
 
 
 def unasked_writes(
-    windows: Sequence[CallWindow], entries: Entries, *, protocol: OtProtocol, declared: Declared, variant: str
+    windows: Sequence[CallWindow],
+    entries: Entries,
+    *,
+    protocol: OtProtocol,
+    declared: Declared,
+    variant: str,
+    asked_for: AskedFor,
+    item: str,
 ) -> Iterator[tuple[Finding, Judged | None]]:
     """Find the requests that changed the plant and that no call accounts for, each with the call that made it, if it reads.
 
@@ -31,27 +39,36 @@ def unasked_writes(
         entries: journal of its device in this repetition.
         protocol, variant: of the adapter.
         declared: the lists of the protocol's own keys in the subject file.
+        asked_for: what the adapter's calls have asked for until now; what these calls ask for is noted there.
+        item: in which they are.
     """
     left = {id(call): _asked(call, protocol) for window in windows for call in window.calls}
     begun = -1
-    made: list[tuple[JournalEntry, Judged]] = []
     for entry in protocol.changes(entries):
         while begun + 1 < len(windows) and entry["t_ns"] >= _begin(windows[begun + 1]):
             begun += 1
         unsolicited = protocol.unsolicited([entry], declared)
         if not unsolicited:
             continue
+        marked = asked_for.again(entry, protocol, item=item) if entry.get("dup") else None
+        if marked is not None:
+            yield _delivered(marked, entry, windows[: begun + 1], protocol), None
+            continue
         owner = _accounting(windows[: begun + 1], left)
         # What comes before the next call may have been on its way when the call was cancelled.
         cancelled = None if owner is not None else _cancelled(windows[:begun], left)
         if owner is not None:
             left[id(owner)] -= 1
-            made.append((entry, owner))
+            asked_for.add(entry, entries, label=owner.reply.label, item=item)
         elif cancelled is not None:
             left[id(cancelled)] -= 1
             yield _carried_out(cancelled, protocol.describe(entry)), None
-        elif (again := _delivered_again(made, entry, entries, windows[: begun + 1], protocol)) is not None:
-            yield again, None
+        elif (
+            begun >= 0
+            and not _writing(windows[begun], protocol)
+            and (again := asked_for.again(entry, protocol, item=item))
+        ):
+            yield _delivered(again, entry, windows[: begun + 1], protocol), None
         elif (found := _finding(windows[: begun + 1], entry, unsolicited[0], protocol, variant)) is not None:
             yield found
 
@@ -98,32 +115,24 @@ def _carried_out(call: Judged, what: str) -> Finding:
     )
 
 
-def _delivered_again(
-    made: Sequence[tuple[JournalEntry, Judged]],
-    entry: JournalEntry,
-    entries: Entries,
-    windows: Sequence[CallWindow],
-    protocol: OtProtocol,
-) -> Finding | None:
-    """Say of a request that its protocol's own rules deliver again, while a call reads, whose it is; None for any other."""
-    reading = bool(windows) and not _writing(windows[-1], protocol)
-    first, call = next(((one, by) for one, by in reversed(made) if _content(one) == _content(entry)), (None, None))
-    if not reading or first is None or call is None or not (told := protocol.again(entries, [first, entry])):
-        return None
-    message = (
-        f"{call.reply.label}: one write was asked for, the device saw {protocol.describe(entry)} as well, while "
-        f"{windows[-1].calls[0].reply.label} was called ({told})"
-    )
+def delivered_before(
+    entries: Entries, protocol: OtProtocol, *, asked_for: AskedFor, item: str
+) -> tuple[list[Finding], Entries]:
+    """Return what was delivered again before an item, when nobody called the adapter, and the other entries."""
+    marked = [
+        (entry, again)
+        for entry in protocol.changes(entries)
+        if entry.get("dup") and (again := asked_for.again(entry, protocol, item=item)) is not None
+    ]
+    seen = [entry["seq"] for entry, _ in marked]
+    findings = [_delivered(again, entry, (), protocol) for entry, again in marked]
+    return findings, [entry for entry in entries if entry["seq"] not in seen]
+
+
+def _delivered(again: Again, entry: JournalEntry, windows: Sequence[CallWindow], protocol: OtProtocol) -> Finding:
+    meanwhile = f"while {windows[-1].calls[0].reply.label} was called" if windows else "when nobody called the adapter"
+    message = f"{again.label}, the device saw {protocol.describe(entry)} as well, {meanwhile} ({again.told})"
     return Finding(code="unasked_write", message=message, requirement="WR-003")
-
-
-_WHEN_AND_HOW = {"seq", "t_ns", "connection", "dup", "packet_id", "answers", "client_id", "session", "owner", "peer"}
-_OF_ITS_TIME = {*_WHEN_AND_HOW, "process", "fault"}
-"""Members of a journal entry that say when and how a request came, and what became of it, and not what it asks for."""
-
-
-def _content(entry: JournalEntry) -> dict[str, object]:
-    return {name: value for name, value in entry.items() if name not in _OF_ITS_TIME}
 
 
 def _finding(

@@ -175,7 +175,10 @@ def foreign_subject(name: str, described: tuple[str, str] | None = None) -> Subj
     assert described[0] in text
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory, "otmcp.toml")
-        path.write_text(text.replace(*described).replace("{dir}", str(SUBJECTS)), encoding="utf-8")
+        moved = (
+            text.replace(*described).replace("{dir}", str(SUBJECTS)).replace('bindings = "', f'bindings = "{SUBJECTS}/')
+        )
+        path.write_text(moved, encoding="utf-8")
         return load_subject(path)
 
 

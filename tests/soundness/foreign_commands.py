@@ -143,6 +143,11 @@ def modbus_valves(lie: str | None, read_only: bool) -> Shape:
 
 
 def mqtt_lights(lie: str | None, read_only: bool) -> Shape:
+    if lie is not None and lie.startswith("connected"):
+        # It has a connection from its start, which it does not use.
+        Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]), reconnect=True).open()
+        lie = lie.removeprefix("connected").removeprefix("-") or None
+
     def publish(topic: str, payload: str) -> None:
         link = Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]))
         try:

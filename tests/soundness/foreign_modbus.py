@@ -145,6 +145,9 @@ def modbus_prose(lie: str | None, read_only: bool) -> Shape:
             return prose(f"Error: {failure}")
         if lie == "guard-in-words" and read_only:
             return prose("Error: the adapter is in read-only mode")
+        if lie == "reads-back":
+            held = await read_many(address, 1)
+            return prose(f"{held['content'][0]['text']}. Successfully wrote {value} to register {address}")
         return prose(f"Successfully wrote {value} to register {address}")
 
     tools: dict[str, Any] = {

@@ -23,6 +23,7 @@ import paho.mqtt.client as paho
 from foreign import Failure, Result, Shape, json_text, prose, structured
 
 ANSWER_S = 3.0
+LATER_S = 0.03
 REFUSED = 0x80
 LONGEST = 65_535
 """Bytes of a topic that a packet can say."""
@@ -84,7 +85,8 @@ class Link:
         with self._changed:
             self._changed.wait_for(lambda: mid in self._answers or not self.client.is_connected(), ANSWER_S)
             if mid not in self._answers:
-                raise Failure("offline", "not connected")
+                lost = "the broker does not answer" if self.client.is_connected() else "not connected"
+                raise Failure("offline", lost)
             return int(self._answers[mid])
 
     def next(self, seconds: float) -> dict[str, str] | None:
@@ -102,7 +104,17 @@ class Link:
 
     def subscribe(self, filter: str, qos: int) -> int:
         self.require()
-        return self.wait(self.client.subscribe(filter, qos)[1])
+        try:
+            mid = self.client.subscribe(filter, qos)[1]
+        except ValueError:
+            raise Failure("invalid", "the filter is none") from None
+        return self.wait(mid)
+
+    def subscribe_later(self, filter: str, qos: int) -> None:
+        threading.Timer(LATER_S, self.client.subscribe, (filter, qos)).start()
+
+    def publish_later(self, topic: str, payload: str, qos: int) -> None:
+        threading.Timer(LATER_S, self.client.publish, (topic, payload, qos)).start()
 
     def publish(self, topic: str, payload: str, qos: int) -> None:
         if not self._reconnects:
@@ -167,7 +179,10 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
         if not topic or NO_NAME.intersection(topic):
             return bad(Failure("invalid", "the topic must not be empty, or hold a wildcard or a null character"))
         try:
-            await asyncio.to_thread(link().publish, topic, text, 0)
+            if lie == "publishes-later":
+                link().publish_later(topic, text, 0)
+            else:
+                await asyncio.to_thread(link().publish, topic, text, 0)
         except Failure as failure:
             if lie == "publishes-into-the-void":
                 return structured({"success": True, "topic": topic})
@@ -231,11 +246,17 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
         try:
             if lie == "clamps-qos":
                 qos = min(qos, 2)
-            if qos not in (0, 1, 2):
+            if lie == "refuses-null" and "\0" in topic_filter:
+                raise Failure("invalid", "the filter must not hold a null character")
+            if isinstance(qos, bool) or qos not in (0, 1, 2):
                 if lie == "applied-nevertheless":
                     await asyncio.to_thread((await link()).subscribe, topic_filter, 2)
                 raise Failure("invalid", "qos must be less than or equal to 2")
-            granted = await asyncio.to_thread((await link()).subscribe, topic_filter, qos)
+            if lie == "subscribes-later":
+                (await link()).subscribe_later(topic_filter, qos)
+                granted = qos
+            else:
+                granted = await asyncio.to_thread((await link()).subscribe, topic_filter, qos)
         except Failure as failure:
             return bad(failure)
         handle = f"s{len(handles) + 1}"
@@ -259,8 +280,13 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
             return bad(Failure("invalid", "the topic must not be empty"))
         if NO_NAME.intersection(topic):
             return bad(Failure("invalid", "the topic must not hold a wildcard or a null character"))
+        if isinstance(qos, bool) or qos not in (0, 1, 2):
+            return bad(Failure("invalid", "qos must be less than or equal to 2"))
         try:
-            await asyncio.to_thread((await link()).publish, topic, message, qos)
+            if lie == "publishes-later":
+                (await link()).publish_later(topic, message, qos)
+            else:
+                await asyncio.to_thread((await link()).publish, topic, message, qos)
         except Failure as failure:
             return bad(failure)
         return structured({"topic": topic})
@@ -433,6 +459,14 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
         return link
 
     said: list[str] = []
+    kept: list[Link] = []
+
+    async def received_over_the_one(topic: str, timeout: float) -> Result:
+        if not (kept and kept[-1].client.is_connected()):
+            kept.append(await opened())
+        kept[-1].received.clear()
+        kept[-1].client.subscribe(topic, 0)
+        return json_text(await asyncio.to_thread(kept[-1].next, timeout) or {})
 
     def told(message: dict[str, str]) -> Result:
         said.append(f"{message['topic']}: {message['payload']}")
@@ -442,6 +476,10 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
 
     async def receive_message(topic: str, timeout: float) -> Result:
         link: Link | None = None
+        if lie == "looks-nowhere":
+            return json_text({})
+        if lie == "keeps-its-connection":
+            return await received_over_the_one(topic, timeout)
         try:
             link = await opened()
             granted = await asyncio.to_thread(link.subscribe, topic, 0)
@@ -452,6 +490,8 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
                 return prose(f"Error: the broker refuses the filter {topic!r}{words}", is_error=True)
             message = await asyncio.to_thread(link.next, timeout)
         except Failure as failure:
+            if lie == "outage-is-silence":
+                return json_text({})
             return prose(f"Error: {failure}", is_error=True)
         finally:
             if link is not None:

@@ -75,7 +75,7 @@ def opcua_items(lie: str | None, read_only: bool) -> Shape:
             if lie == "applied-nevertheless" and not fits:
                 kind, value = ua.VariantType.Double, 0.0
                 await node.write_attribute(ua.AttributeIds.Value, ua.DataValue(ua.Variant(value, kind)))
-            if not fits:
+            if not fits or (lie == "writes-no-booleans" and kind == ua.VariantType.Boolean):
                 return {"node": name, "status": "BadTypeMismatch"}
             if kind == ua.VariantType.Double:
                 value = float(value)
@@ -91,7 +91,11 @@ def opcua_items(lie: str | None, read_only: bool) -> Shape:
             found = await (await client()).get_node(node).get_references(HIERARCHICAL, FORWARD)
             return [described(reference) for reference in found]
 
-        return await items(work())
+        listed = await items(work())
+        if lie in ("first-page", "first-page-as-all") and not listed.get("isError"):
+            every = listed["structuredContent"]["items"]
+            return structured({"items": every[:200], "more": len(every) > 200 and lie == "first-page"})
+        return listed
 
     async def all_variables() -> Result:
         async def work() -> list[dict[str, Any]]:

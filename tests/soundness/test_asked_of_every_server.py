@@ -86,7 +86,7 @@ def test_a_defect_of_a_server_without_operations_is_found(judge: Judge, name: st
 LIES = {
     # It starts when the broker is there, so nothing else of it is amiss.
     "needs-the-broker": ("MCP-002", "MCP-002"),
-    "never-refused": ("ERR-001 MCP-010", "ERR-001"),
+    "never-refused": ("ERR-001 MCP-010", "MQT-002"),
     "publishes-into-the-void": ("REC-002 WR-010", "MQT-001"),
     "last-words": ("INJ-001", "INJ-001"),
     "raw-text": ("INJ-002", "INJ-002"),
@@ -101,6 +101,43 @@ def test_a_lie_of_an_adapter_that_waits_is_found(judge_foreign: Judge, lie: str)
     results = judge_foreign("mqtt-wait", lie=lie, tasks=on_mqtt(*rows.split(), "MCP-010", "RD-004"))
     assert failing(results) == set(on_mqtt(*rows.split()).split()), words(results)
     assert requirements(results) >= set(cited.split()), words(results)
+
+
+RESULT = "[{topic: topic, payload: payload}]"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("lie", "said"),
+    [
+        (
+            "outage-is-silence",
+            "still succeeds and brings nothing, as if the device had nothing to say; nothing was written",
+        ),
+        ("looks-nowhere", "The answer brings nothing, from wherever; nothing was written"),
+    ],
+)
+def test_an_empty_list_in_an_outage_is_not_told_as_a_value_from_memory(
+    judge_foreign: Judge, lie: str, said: str
+) -> None:
+    described = RESULT, f"{RESULT} | [?topic]"
+    results = judge_foreign("mqtt-wait", lie=lie, tasks="WR-010.mqtt", described=described)
+    assert failing(results) == {"WR-010.mqtt"}, words(results)
+    assert said in words(results)
+    assert "from memory" not in words(results)
+
+
+@pytest.mark.long
+def test_silence_over_a_connection_whose_end_has_vanished_is_no_success(judge_foreign: Judge) -> None:
+    described = RESULT, f"{RESULT} | [?topic]"
+    results = judge_foreign(
+        "mqtt-wait", lie="keeps-its-connection", tasks="REC-003.mqtt REC-005.mqtt", described=described
+    )
+    # The next item gets a session of its own.
+    assert failing(results) == {"REC-003.mqtt"}, words(results)
+    assert "it claims success, and the device answered nothing: its end of the connection has vanished" in words(
+        results
+    )
 
 
 def test_writes_without_any_read_are_a_matter_of_the_subject_file(judge_described: Judge) -> None:

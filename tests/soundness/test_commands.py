@@ -86,6 +86,30 @@ def test_a_lie_about_a_command_is_found(judge_foreign: Judge, name: str, lie: st
     assert requirements(results) <= set(cited.split()), words(results)
 
 
+STATUS = """messages = "receives nothing" }
+bind.info = { tool = "bridge_state", result = { connected = "bridge == 'online'" } }
+"""
+NO_STATUS = """messages = "receives nothing", info = "has no tool for it" }
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("lie", "status", "said"),
+    [
+        ("connected", "PASS", ""),
+        ("connected-delivers-later", "FAIL", "the broker should have seen no state-changing request"),
+        ("connected-writes-nothing", "FAIL", "it claims success"),
+    ],
+)
+def test_an_adapter_without_any_read_is_taken_through_an_outage(
+    judge_foreign: Judge, lie: str, status: str, said: str
+) -> None:
+    results = judge_foreign("mqtt-lights", lie=lie, tasks="WR-010.mqtt", described=(STATUS, NO_STATUS))
+    assert results["WR-010.mqtt"]["status"] == status, words(results)
+    assert said in words(results)
+
+
 def test_what_a_command_cannot_express_does_not_apply(judge_foreign: Judge) -> None:
     results = judge_foreign("modbus-valves", tasks="FM2 ADR-003.modbus")
     assert {result["status"] for result in results.values()} == {"NOT_APPLICABLE"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from .conftest import IMPATIENT, Judge, failing, lane, passing, words
+from .conftest import IMPATIENT, Judge, failing, lane, passing, requirements, words
 
 NO_MQTT = "the subject has no adapter for MQTT"
 NO_OPCUA = "the subject has no adapter for OPC UA"
@@ -202,6 +202,70 @@ def test_a_lie_fails_exactly_its_tasks(judge_foreign: Judge, name: str, lie: str
     assert failing(results) == set(tasks.split()), words(results)
     assert reason in words(results)
     assert {result["status"] for result in results.values()} <= {"PASS", "FAIL", "NOT_APPLICABLE"}
+
+
+NEIGHBOURS = [
+    # What is bent is no lie: each is close to what a check forbids, and keeps it.
+    (
+        "mqtt-handle",
+        "refuses-null",
+        "ADR-007.mqtt FQ2",
+        ('"^invalid", code = "invalid_input"', '"^invalid", code = "range_overflow"'),
+    ),
+    ("mqtt-handle", None, "ENV-003.mqtt", None),
+    ("mqtt-connect", None, "ERR-005.mqtt TMO-003.mqtt", None),
+    ("opcua-items", None, "TMO-003.opcua", None),
+    ("opcua-items", "writes-no-booleans", "CON-004.opcua", None),
+    ("modbus-prose", None, "WR-012.modbus", None),
+    ("modbus-prose", "reads-back", "WR-012.modbus", None),
+]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "lie", "tasks", "described"), NEIGHBOURS)
+def test_an_adapter_that_is_close_to_what_a_check_forbids_passes_it(
+    judge_foreign: Judge, name: str, lie: str | None, tasks: str, described: tuple[str, str] | None
+) -> None:
+    results = judge_foreign(name, lie=lie, tasks=tasks, described=described)
+    assert passing(results) == set(tasks.split()), words(results)
+
+
+LISTS = "result.node_ids = \"items[?class == 'Variable'].node\""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("lie", "accused"), [("first-page", False), ("first-page-as-all", True)])
+def test_a_list_that_says_that_it_is_a_part_may_be_one(judge_foreign: Judge, lie: str, accused: bool) -> None:
+    described = LISTS, f'{LISTS}\nresult.truncated = "more"'
+    results = judge_foreign("opcua-items", lie=lie, tasks="OUA-006.opcua", described=described)
+    assert ("or the answer should say that it is a part" in words(results)) is accused, words(results)
+
+
+TOO_EARLY = {
+    ("mqtt-handle", "publishes-later"): ("CON-004.mqtt TMO-004.mqtt", "MQT-001"),
+    ("mqtt-handle", "subscribes-later"): ("CON-006.mqtt", "MQT-002"),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "lie"),
+    [pytest.param(*told, marks=pytest.mark.long if number else ()) for number, told in enumerate(TOO_EARLY)],
+)
+def test_a_success_before_the_request_is_told_as_such_and_not_as_a_lost_one(
+    judge_foreign: Judge, name: str, lie: str
+) -> None:
+    tasks, cited = TOO_EARLY[name, lie]
+    results = judge_foreign(name, lie=lie, tasks=tasks)
+    assert failing(results) == set(tasks.split()), words(results)
+    assert "it claims success, and the device saw the request only after that" in words(results)
+    assert requirements(results) == {cited}, words(results)
+
+
+@pytest.mark.long
+def test_what_is_never_acknowledged_may_leave_after_the_answer(judge_foreign: Judge) -> None:
+    # QoS 0: what is bent is no lie.
+    results = judge_foreign("mqtt-connect", lie="publishes-later", tasks="CON-004.mqtt TMO-004.mqtt")
+    assert failing(results) == set(), words(results)
 
 
 def test_an_item_that_is_missing_from_several_is_missed(judge_foreign: Judge) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -12,9 +13,11 @@ from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import JournalEntry
 from pytest_otmcp.protocols.mqtt.oracle import Refused
 from pytest_otmcp.protocols.mqtt.sparkplug_oracle import SparkplugSequence
+from pytest_otmcp.protocols.protocol import OtProtocol
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.protocols.stamp import Stamp
 from pytest_otmcp.session.exchange import Exchange
+from pytest_otmcp.trial.asked_for import AskedFor
 from pytest_otmcp.trial.call_windows import windows
 from pytest_otmcp.trial.connections import connections_left
 from pytest_otmcp.trial.ledger import Judged
@@ -22,11 +25,11 @@ from pytest_otmcp.trial.meta_claims import meta_faults
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.start_times import StartTimes
 from pytest_otmcp.trial.tool_listing import listing_faults
-from pytest_otmcp.trial.unasked_writes import unasked_writes
+from pytest_otmcp.trial.unasked_writes import delivered_before, unasked_writes
 
 from ..feeding import fed
 
-MODBUS = protocols()["modbus"]
+MODBUS, MQTT = protocols()["modbus"], protocols()["mqtt"]
 ENDPOINT = "modbus+tcp://localhost:502"
 
 
@@ -150,8 +153,23 @@ def test_a_latency_below_what_the_device_took_is_a_lie() -> None:
     assert claims(slow, *exchange(1.1, took_ms=100.0)) == ["latency_below_device ENV-004"]
 
 
+def unasked(
+    protocol: OtProtocol,
+    calls: list[Judged],
+    entries: Sequence[JournalEntry],
+    *,
+    variant: str = "rw",
+    asked_for: AskedFor | None = None,
+    item: str = "X-1",
+) -> list[tuple[Finding, Judged | None]]:
+    made = windows(calls, entries)
+    before = asked_for or AskedFor()
+    found = unasked_writes(made, entries, protocol=protocol, declared={}, variant=variant, asked_for=before, item=item)
+    return list(found)
+
+
 def strays(*entries: JournalEntry, calls: list[Judged], variant: str = "rw") -> list[str | None]:
-    found = unasked_writes(windows(calls, entries), entries, protocol=MODBUS, declared={}, variant=variant)
+    found = unasked(MODBUS, calls, entries, variant=variant)
     return [finding.requirement for finding, _ in found]
 
 
@@ -196,12 +214,11 @@ def message(ms: float, **fields: Any) -> JournalEntry:
 
 
 def test_a_message_that_is_delivered_again_while_a_call_reads_is_of_the_call_that_published_it() -> None:
-    mqtt = protocols()["mqtt"]
     calls = [call("publish", at=1), call("messages", at=3)]
 
     def found(again: JournalEntry) -> list[tuple[str | None, bool, bool]]:
         entries = [message(1.5, fault={"reset": True}), again]
-        strays = unasked_writes(windows(calls, entries), entries, protocol=mqtt, declared={}, variant="rw")
+        strays = unasked(MQTT, calls, entries)
         return [(finding.requirement, "with DUP" in finding.message, reader is None) for finding, reader in strays]
 
     # To the broker a new client is nobody who delivers something again.
@@ -209,6 +226,26 @@ def test_a_message_that_is_delivered_again_while_a_call_reads_is_of_the_call_tha
     # Another message is the reading call's own.
     other = base64.b64encode(b"off").decode()
     assert found(message(3.5, dup=True, payload=other)) == [("MCP-008", False, False)]
+
+
+def test_a_message_of_an_earlier_item_that_is_delivered_again_is_of_the_call_that_published_it() -> None:
+    before = AskedFor()
+    assert unasked(MQTT, [call("publish", at=1)], [message(1.5, fault={"no_answer": True})], asked_for=before) == []
+    again = message(3.5, dup=True, connection=2, client_id="new")
+    other = base64.b64encode(b"off").decode()
+
+    def found(calls: list[Judged], *entries: JournalEntry) -> list[tuple[str | None, bool]]:
+        strays = unasked(MQTT, calls, entries, asked_for=before, item="X-2")
+        return [(one.requirement, "publish(): one write was asked for in X-1, the" in one.message) for one, _ in strays]
+
+    assert found([call("messages", at=3)], again) == [("WR-003", True)]
+    # Also where another message is published meanwhile, which is asked for.
+    assert found([call("publish", at=3)], again, message(3.6, payload=other)) == [("WR-003", True)]
+    # What is not marked was asked for.
+    assert found([call("publish", at=3)], message(3.5)) == []
+    told, others = delivered_before([again, message(4.5, payload=other)], MQTT, asked_for=before, item="X-3")
+    assert [(one.requirement, "when nobody called" in one.message) for one in told] == [("WR-003", True)]
+    assert [entry["t_ns"] for entry in others] == [4_500_000]
 
 
 def without_reply(failure: str) -> Judged:
@@ -238,7 +275,7 @@ def test_a_write_after_its_cancellation_is_a_warning_and_a_second_one_is_none(
     failure: str, times: list[float], found: list[tuple[str, str, str]]
 ) -> None:
     calls, entries = [without_reply(failure), call(at=200)], [entry(ms, function=6) for ms in times]
-    seen = unasked_writes(windows(calls, entries), entries, protocol=MODBUS, declared={}, variant="rw")
+    seen = unasked(MODBUS, calls, entries)
     assert [(one.code, one.requirement, one.strength) for one, _ in seen] == found
     assert not any("reported as failed" in one.message for one, _ in seen)
 

@@ -47,12 +47,12 @@ _EDGE_NODE = {"group": "factory", "node": "edge-node-1"}
 def _device_command(rng: random.Random) -> Asked:
     setpoint = {"name": "setpoint", "datatype": "Double", "value": 1.0 + rng.getrandbits(40) / 2**34}
     inputs = {**_EDGE_NODE, "device": "device-1", "metrics": [setpoint]}
-    return Asked(operation="send_device_command", inputs=inputs, unconfirmed=True)
+    return Asked(operation="send_device_command", inputs=inputs)
 
 
 def _node_command(rng: random.Random) -> Asked:
     scan_rate = {"name": SCAN_RATE, "datatype": "Int64", "value": rng.randrange(1_000, 2**40)}
-    return Asked(operation="send_node_command", inputs={**_EDGE_NODE, "metrics": [scan_rate]}, unconfirmed=True)
+    return Asked(operation="send_node_command", inputs={**_EDGE_NODE, "metrics": [scan_rate]})
 
 
 _NO_LEVELS = ("", "a/b", "a+", "#")
@@ -98,6 +98,11 @@ def _has(said: object, stated: object) -> bool:
 def _says(entry: JournalEntry) -> Mapping[str, Any] | None:
     message = as_mqtt(entry)
     return {"qos": message.get("qos"), "retain": bool(message.get("retain"))} if message["kind"] == "PUBLISH" else None
+
+
+def _too_late(entry: JournalEntry) -> str | None:
+    """A message of QoS 0 has no acknowledgement that a success could wait for."""
+    return "MQT-001" if as_mqtt(entry).get("qos") else None
 
 
 def _fenced(rng: random.Random) -> tuple[Asked, ...]:
@@ -214,6 +219,7 @@ EXERCISE = Exercise(
     number=None,
     bounded=("qos",),
     done=_published,
+    too_late=_too_late,
     reads=({"packet": "SUBSCRIBE"},),
     writes=({"packet": "PUBLISH"},),
     silent=tuple({"packet": packet, "action": {"no_answer": True}} for packet in ("SUBSCRIBE", "PUBLISH")),

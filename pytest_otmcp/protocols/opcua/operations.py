@@ -29,6 +29,7 @@ OPERATIONS: Mapping[str, Operation] = {
         outputs=("node_ids", "browse_names"),
         needed=("node_ids",),
         requirement="OUA-006",
+        voluntary_outputs=("truncated",),
     ),
     "write": Operation(
         meaning="write a variable's value",
@@ -43,6 +44,7 @@ OPERATIONS: Mapping[str, Operation] = {
         outputs=("node_ids",),
         needed=("node_ids",),
         requirement="OUA-006",
+        voluntary_outputs=("truncated",),
     ),
     "write_many": Operation(
         meaning="write several variables' values; each of items has node_id and value",

@@ -272,6 +272,7 @@ DEFECTS: tuple[Defect, ...] = (
         "A subscription that the broker refuses is a success.",
         subscriptions_are_always_granted,
         "ERR-001 ERR-004",
+        "ERR-004 MQT-002",
     ),
     defect(
         "MU-120b",

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
 from ...mqtt import link as mqtt_link
+from ...mqtt.connection import Connection
 from ..defect import Change, Data, Defect, Handler, around, defect, failing, tools_of
 from .con import over_a_stream
 
@@ -71,6 +73,20 @@ def asks_again(tool: str, times: int) -> Change:
         return await genuine(call, arguments)
 
     return again
+
+
+def subscribes_thrice(server: AdapterServer) -> None:
+    """A SUBSCRIBE that is not answered at once is sent twice more."""
+    genuine = Connection.subscribe
+
+    async def subscribe(connection: Connection, filters: Mapping[str, int]) -> list[int]:
+        asked = [asyncio.ensure_future(genuine(connection, filters))]
+        while len(asked) < 3 and not (await asyncio.wait(asked, timeout=0.05))[0]:
+            asked.append(asyncio.ensure_future(genuine(connection, filters)))
+        await asyncio.wait(asked)
+        return asked[0].result()
+
+    Connection.subscribe = subscribe
 
 
 def repeated_when_cancelled(*names: str) -> Change:
@@ -156,6 +172,13 @@ DEFECTS: tuple[Defect, ...] = (
         "modbus",
         "A read that is not answered is asked three times, and the subject file says once.",
         asks_again(_READ, 3),
+        "TMO-002",
+    ),
+    defect(
+        "MU-32q",
+        "mqtt",
+        "A subscription that is not answered is asked for three times, and the subject file says once.",
+        subscribes_thrice,
         "TMO-002",
     ),
     defect(

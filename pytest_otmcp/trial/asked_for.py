@@ -1,0 +1,68 @@
+"""Requests that calls have asked for, by which what an adapter delivers again is known, in the same item or a later one. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from ..protocols.journal import Entries, JournalEntry
+from ..protocols.protocol import OtProtocol
+
+__all__ = ["Again", "AskedFor"]
+
+_KEPT = 1000
+
+_WHEN_AND_HOW = {"seq", "t_ns", "connection", "dup", "packet_id", "answers", "client_id", "session", "owner", "peer"}
+_OF_ITS_TIME = {*_WHEN_AND_HOW, "process", "fault"}
+"""Members of a journal entry that say when and how a request came, and what became of it, and not what it asks for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Again:
+    """What is delivered again.
+
+    Attributes:
+        label: the call that asked for it, and in which item, where that is another one.
+        told: what the protocol's own rules say of it.
+    """
+
+    label: str
+    told: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    entry: JournalEntry
+    answers: Entries
+    label: str
+    item: str
+
+
+class AskedFor:
+    """The newest requests of an adapter that its calls have asked for."""
+
+    def __init__(self) -> None:
+        self._made: deque[_Made] = deque(maxlen=_KEPT)
+
+    def add(self, entry: JournalEntry, entries: Entries, *, label: str, item: str) -> None:
+        """Note a request with the call that asked for it.
+
+        Args:
+            entries: journal of the repetition; the next one may begin to count anew.
+        """
+        answers = [other for other in entries if other["answers"] == entry["seq"]]
+        self._made.append(_Made(entry, answers, label, item))
+
+    def again(self, entry: JournalEntry, protocol: OtProtocol, *, item: str) -> Again | None:
+        """Say of a request that its protocol's own rules deliver again whose it is; None for any other."""
+        wanted = _content(entry)
+        first = next((made for made in reversed(self._made) if _content(made.entry) == wanted), None)
+        told = "" if first is None else protocol.again(first.answers, [first.entry, entry])
+        if first is None or not told:
+            return None
+        where = "" if first.item == item else f" in {first.item}"
+        return Again(f"{first.label}: one write was asked for{where}", told)
+
+
+def _content(entry: JournalEntry) -> dict[str, object]:
+    return {name: value for name, value in entry.items() if name not in _OF_ITS_TIME}
