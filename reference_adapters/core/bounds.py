@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from .errors import AdapterError
 from .settings import ConfigError, Environment
 
-__all__ = ["Bounds"]
+__all__ = ["Bounds", "covers"]
 
 _ALLOW, _LIMITS = "OT_WRITE_ALLOW", "OT_WRITE_LIMITS"
 _PLACES = re.compile(r"(\d+)\.\.(\d+)|\*")
@@ -71,7 +71,7 @@ class Bounds:
             AdapterError: ``access_denied``, ``range_overflow`` or ``rate_limited``.
         """
         for target, _ in changes:
-            if self._allowed is not None and not any(_covers(pattern, target) for pattern in self._allowed):
+            if self._allowed is not None and not any(covers(pattern, target) for pattern in self._allowed):
                 message = f"a target is not on the list of those that may be written ({_ALLOW})"
                 raise AdapterError("access_denied", message, outcome="not_sent", details={"target": target})
         now = time.monotonic()
@@ -124,7 +124,8 @@ def _json(environment: Environment, name: str, kind: TypeAdapter[T]) -> T | None
         raise ConfigError(f"{name}: {'/'.join(map(str, fault['loc'])) or 'the text'}: {fault['msg']}") from None
 
 
-def _covers(pattern: str, target: str) -> bool:
+def covers(pattern: str, target: str) -> bool:
+    """Tell whether a target has the name that a pattern describes, see :class:`Bounds`."""
     parts, ranges, end = [], [], 0
     for place in _PLACES.finditer(pattern):
         parts += [re.escape(pattern[end : place.start()]), "[^/]*" if place[1] is None else "([0-9]{1,9})"]

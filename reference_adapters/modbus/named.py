@@ -51,6 +51,7 @@ class NamedTools:
 
     def __init__(self, tools: Tools) -> None:
         self._tools = tools
+        self.present = tools.present
 
     @tool("modbus.ping")
     async def plant_status(self, call: Call, arguments: Nothing) -> Reachable:

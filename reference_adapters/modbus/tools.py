@@ -209,6 +209,14 @@ class Tools:
         await self._write_block(call, Unit(), tag.address, encode(raw, tag.type, tag.order))
         return {"tag": arguments.tag, "value": arguments.value, "raw": raw, "unit": tag.unit}
 
+    async def present(self, call: Call, target: str) -> int | bool:
+        """Return what a target of :meth:`Call.changes` holds."""
+        unit, table, address = target.split("/")
+        if table == "coils":
+            coil = Bits(unit_id=int(unit), address=int(address), count=1)
+            return (await self.read_coils(call, coil))["values"][0]
+        return (await self.read_register(call, Cell(unit_id=int(unit), address=int(address))))["value"]
+
     # -- requests -----------------------------------------------------------------------------------------
 
     async def _exchange(self, call: Call, arguments: Unit, send: Send) -> ModbusPDU:
