@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from .core.approval import answered
 
 
-def main() -> int:
-    """Run the command line and return the exit code."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line, or these arguments, and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m pytest_otmcp.reference_adapters.approvals", description="Writes that wait for a person."
     )
@@ -21,7 +22,7 @@ def main() -> int:
         command = commands.add_parser(name, help=f"{name} a write")
         command.add_argument("inbox", type=Path)
         command.add_argument("id", help="as list shows it")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     try:
         if options.command == "list":
             for file in sorted(options.inbox.glob("*.request")):

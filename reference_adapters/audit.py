@@ -7,19 +7,20 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
 from .core.audit import Broken, verify
 
 
-def main() -> int:
-    """Run the command line and return the exit code."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line, or these arguments, and return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m pytest_otmcp.reference_adapters.audit", description="Audit logs.")
     command = parser.add_subparsers(required=True).add_parser("verify", help="tell whether a log is whole")
     command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="the log, or its parts in their order")
     command.add_argument("--anchor", nargs="+", default=[], metavar="ID", help="meta.audit_id of an answer")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     try:
         with ExitStack() as stack:
             found = verify([stack.enter_context(file.open("rb")) for file in options.files], options.anchor)
