@@ -209,7 +209,7 @@ class Gate:
             _, rule = self._rules[target]
             line = f"- {json.dumps(target)}" + ("" if rule.label is None else f" ({rule.label})")
             if present is not None:
-                line += f", now {_shown(await present(target), 'no number')}"
+                line += f", now {await _told(present, target)}"
             line += f", to be {_shown(value, 'what the arguments say')}"
             lines.append(line + (f"; limits {json.dumps(rule.limits)}" if rule.limits else ""))
         lines += [
@@ -290,6 +290,13 @@ class Gate:
             approved_by=self._approved_by,
             **members,
         )
+
+
+async def _told(present: Present, target: str) -> str:
+    try:
+        return _shown(await present(target), "no number")
+    except AdapterError:
+        return "not known"
 
 
 def _plain(value: object) -> object:

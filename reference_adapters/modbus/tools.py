@@ -244,9 +244,13 @@ class Tools:
             ),
         )
 
-    def _changes(self, call: Call, arguments: Unit, table: str, address: int, values: Sequence[object]) -> None:
+    def targets(self, arguments: Unit, table: str, address: int, values: Sequence[object]) -> list[tuple[str, object]]:
+        """Return what a write of these values changes, as :meth:`Call.changes` takes it."""
         unit = self._default_unit if arguments.unit_id is None else arguments.unit_id
-        call.changes(*((f"{unit}/{table}/{address + index}", value) for index, value in enumerate(values)))
+        return [(f"{unit}/{table}/{address + index}", value) for index, value in enumerate(values)]
+
+    def _changes(self, call: Call, arguments: Unit, table: str, address: int, values: Sequence[object]) -> None:
+        call.changes(*self.targets(arguments, table, address, values))
 
     async def _write_block(self, call: Call, arguments: Unit, address: int, values: list[int]) -> None:
         self._changes(call, arguments, "holding_registers", address, values)

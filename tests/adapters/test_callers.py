@@ -24,7 +24,7 @@ from mcp.client.streamable_http import streamable_http_client
 from mcp.types import ElicitRequestParams, ElicitResult
 
 from .cases import MODBUS
-from .conftest import MODERN, PATIENCE_S, Mock, Rig
+from .conftest import LEGACY, MODERN, PATIENCE_S, Mock, Rig
 
 pytestmark = pytest.mark.usefixtures("clean")
 CASE = MODBUS
@@ -235,3 +235,24 @@ def test_a_client_of_the_sdk_asks_over_http(url: str, issuer: Issuer, device: Mo
                 yield session
 
     approving(client, device)
+
+
+def test_in_a_session_the_role_is_that_of_the_present_token(url: str, issuer: Issuer, device: Mock) -> None:
+    mark = device.mark()
+
+    def send(http: httpx2.Client, scope: str, method: str, **params: Any) -> httpx2.Response:
+        headers = {"Accept": "application/json, text/event-stream", "Authorization": f"Bearer {issuer.token(scope)}"}
+        request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": params}
+        return http.post(url, json=request, headers=headers | session, timeout=PATIENCE_S)
+
+    session: dict[str, str] = {}
+    write = {"name": "write_register", "arguments": {"address": 20, "value": 1}}
+    with httpx2.Client() as http:
+        information = {"protocolVersion": LEGACY, "capabilities": {}, "clientInfo": {"name": "t", "version": "1"}}
+        opened = send(http, "ot:read ot:operate", "initialize", **information)
+        session["Mcp-Session-Id"] = opened.headers["mcp-session-id"]
+        session["MCP-Protocol-Version"] = LEGACY
+        lesser = send(http, "ot:read", "tools/call", **write)
+        assert envelope(lesser)["error"]["code"] == "access_denied"
+        assert device.since(mark, state_changing=True) == []
+        assert envelope(send(http, "ot:read ot:operate", "tools/call", **write))["success"]

@@ -286,6 +286,48 @@ def test_every_writing_tool_of_every_adapter_passes_the_gates(
     assert audit(log)[0] == 0
 
 
+STEPS = {
+    "modbus": ("1/holding_registers/20", "write_register", {"address": 20}),
+    "opcua": ("ns=2;s=FanSpeed", "write_opcua_node", {"node_id": "ns=2;s=FanSpeed"}),
+    "ethernetip": ("FanSpeed", "write_tag", {"tag_name": "FanSpeed"}),
+    "bacnet": (
+        "12345/analog-output,1/present-value",
+        "write_property",
+        {"device_id": 12345, "object_type": "analog-output", "object_instance": 1},
+    ),
+    "dnp3": ("10/analog_output/0", "write_point_by_alias", {"alias": "setpoint"}),
+}
+"""By adapter that can ask what a target holds: a target, and the tool and the arguments that write it."""
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case.protocol in STEPS], ids=str)
+def test_a_step_is_from_what_the_device_holds_and_a_person_is_shown_it(
+    case: Case, rigs: Callable[[Case], Rig], tmp_path: Path
+) -> None:
+    rig, (target, tool, place) = rigs(case), STEPS[case.protocol]
+    rig.device("reset")
+    policy = tmp_path / "policy.toml"
+    policy.write_text(f"[rule.a]\ntargets = ['{target}']\nstep = 5\napprove = 'client'")
+    client = rig.start("steps", writes="true", capabilities=FORMS, OT_POLICY=str(policy), OT_ROLE="operator")
+
+    def value(number: int) -> dict[str, Any]:
+        # What the device writes in whole numbers is written in whole numbers.
+        return {**place, "value": float(number) if case.protocol in ("bacnet", "dnp3", "opcua") else number}
+
+    assert rig.adapter.call(tool, value(50)).envelope["success"]
+    mark = rig.device.mark()
+    assert client.call(tool, value(56)).error["code"] == "range_overflow"
+    result = asked(client, tool, **value(54))
+    question = result["inputRequests"]["approval"]["params"]["message"]
+    assert "now 50" in question
+    assert "to be 54" in question
+    assert rig.device.since(mark, state_changing=True) == []
+    reply = client.reply(tool, again(client, result, ACCEPT, tool, **value(54)))
+    assert reply.envelope["success"], reply.envelope
+    assert client.call(tool, value(60)).error["code"] == "range_overflow"
+    asked(client, tool, **value(59))
+
+
 # -- audit log ---------------------------------------------------------------------------------------------------
 
 
