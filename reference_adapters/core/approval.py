@@ -21,7 +21,7 @@ import os
 import pwd
 import secrets
 import time
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -62,11 +62,11 @@ class Request:
     """What a person is asked.
 
     Attributes:
-        text: for the person.
+        text: makes the text for the person, for which the device may have to be asked.
         bound: everything that the approval is for.
     """
 
-    text: str
+    text: Callable[[], Awaitable[str]]
     bound: Mapping[str, Any]
 
     @property
@@ -90,7 +90,7 @@ class Approvals:
         self.inbox = inbox
         self.valid_s = valid_s
         self._open: dict[str | tuple[str], _Open] = {}
-        """By ``requestState``; those in the inbox by a tuple of the digest of their request, which no client can send."""
+        """By ``requestState``. Others by a tuple, which no client can send: those in the inbox by the digest of their request."""
 
     @classmethod
     def of(cls, environment: Environment) -> Approvals:
@@ -120,30 +120,34 @@ class Approvals:
         elicits = asked is not None and (mode := asked.elicitation) is not None and not (mode.url and not mode.form)
         if elicits and not outside:
             if context.protocol_version in MODERN_PROTOCOL_VERSIONS:
-                self._answered(context.params or {}, request)
+                await self._answered(context.params or {}, request)
             else:
                 await self._elicit(context, request)
             return "client"
         if self.inbox is None:
             raise _refusal("required", "a person has to approve this, and this client cannot ask; nothing was written")
-        return self._looked_up(self.inbox, request)
+        return await self._looked_up(self.inbox, request)
 
     async def _elicit(self, context: ServerRequestContext[Any, Any], request: Request) -> None:
+        text, key = await request.text(), (secrets.token_hex(8),)
+        self._keep(key, _Open(request.digest, time.monotonic() + self.valid_s, ""))
         try:
             async with asyncio.timeout(self.valid_s):
-                answer = await context.session.elicit_form(request.text, _FORM, related_request_id=context.request_id)
+                answer = await context.session.elicit_form(text, _FORM, related_request_id=context.request_id)
         except TimeoutError:
             raise _refusal("expired", f"nobody has answered within {self.valid_s:g} s; nothing was written") from None
         except (MCPError, ValueError):
             raise _refusal("denied", "the client's answer is no approval; nothing was written") from None
+        finally:
+            self._open.pop(key, None)
         _judge(answer.action, answer.content)
 
-    def _answered(self, params: Mapping[str, Any], request: Request) -> None:
+    async def _answered(self, params: Mapping[str, Any], request: Request) -> None:
         state = params.get("requestState")
         if state is None:
-            state = secrets.token_urlsafe(24)
+            text, state = await request.text(), secrets.token_urlsafe(24)
             self._keep(state, _Open(request.digest, time.monotonic() + self.valid_s, state))
-            form = {"mode": "form", "message": request.text, "requestedSchema": _FORM}
+            form = {"mode": "form", "message": text, "requestedSchema": _FORM}
             asked = {_KEY: {"method": "elicitation/create", "params": form}}
             raise InputRequired({"resultType": "input_required", "inputRequests": asked, "requestState": state})
         # Taken before anything else: of two that come with it, one has it.
@@ -169,11 +173,14 @@ class Approvals:
             raise AdapterError("rate_limited", message, outcome="not_sent", retry_after_ms=round(1000 * self.valid_s))
         self._open[key] = one
 
-    def _looked_up(self, inbox: Path, request: Request) -> str:
+    async def _looked_up(self, inbox: Path, request: Request) -> str:
         key = (request.digest,)
-        found = self._open.get(key)
-        if found is None:
-            found = _Open(request.digest, time.monotonic() + self.valid_s, secrets.token_hex(8), self._shown(request))
+        if key not in self._open:
+            shown = self._shown(request, await request.text())
+            found = _Open(request.digest, time.monotonic() + self.valid_s, secrets.token_hex(8), shown)
+            if key in self._open:
+                # The same call at the same time was faster.
+                raise self._waiting(self._open[key])
             self._keep(key, found)
             try:
                 _written(inbox / f"{found.number}.request", found.shown)
@@ -181,6 +188,7 @@ class Approvals:
                 del self._open[key]
                 raise _refusal("required", f"the inbox for approvals cannot be written: {error.strerror}") from None
             raise self._waiting(found)
+        found = self._open[key]
         answer = inbox / f"{found.number}.answer"
         late = time.monotonic() > found.until
         if not late and not answer.exists():
@@ -209,9 +217,9 @@ class Approvals:
         message = "a person has to approve this outside of this conversation; make the same call again afterwards"
         return _refusal("required", message, details)
 
-    def _shown(self, request: Request) -> bytes:
+    def _shown(self, request: Request, text: str) -> bytes:
         until = (datetime.now(UTC) + timedelta(seconds=self.valid_s)).isoformat(timespec="seconds")
-        return json.dumps({"text": request.text, "until": until, **request.bound}, indent=1).encode()
+        return json.dumps({"text": text, "until": until, **request.bound}, indent=1).encode()
 
 
 def _judge(action: object, content: object) -> None:

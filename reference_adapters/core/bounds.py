@@ -10,6 +10,7 @@ import math
 import re
 import time
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
@@ -126,10 +127,16 @@ def _json(environment: Environment, name: str, kind: TypeAdapter[T]) -> T | None
 
 def covers(pattern: str, target: str) -> bool:
     """Tell whether a target has the name that a pattern describes, see :class:`Bounds`."""
+    expression, ranges = _expression(pattern)
+    match = expression.fullmatch(target)
+    return match is not None and all(int(found) in one for found, one in zip(match.groups(), ranges, strict=True))
+
+
+@lru_cache(maxsize=4096)
+def _expression(pattern: str) -> tuple[re.Pattern[str], list[range]]:
     parts, ranges, end = [], [], 0
     for place in _PLACES.finditer(pattern):
         parts += [re.escape(pattern[end : place.start()]), "[^/]*" if place[1] is None else "([0-9]{1,9})"]
         ranges += [] if place[1] is None else [range(int(place[1]), int(place[2]) + 1)]
         end = place.end()
-    match = re.fullmatch("".join(parts) + re.escape(pattern[end:]), target)
-    return match is not None and all(int(found) in one for found, one in zip(match.groups(), ranges, strict=True))
+    return re.compile("".join(parts) + re.escape(pattern[end:])), ranges

@@ -118,10 +118,13 @@ class Gate:
         self._changes: list[Change] = []
         self._rules: dict[str, tuple[str, Rule]] = {}
         self._present: dict[str, object] = {}
+        self._asked: list[Change] = []
+        """Changes for which an approval is needed."""
         self._approved: list[Change] | None = None
         self._approved_by: str | None = None
         self._recorded = 0
         """Changes of which the intent is on disk."""
+        self._counted: set[str] = set()
         self._passed = False
         self.has_intent = False
         self.anchor: str | None = None
@@ -133,7 +136,7 @@ class Gate:
         Raises:
             AdapterError: ``access_denied``: the policy has nothing for the caller's role and this tool.
         """
-        self._changes, self._recorded = [], 0
+        self._changes, self._recorded, self._passed = [], 0, False
         policy, role = self._gates.policy, self._caller.role
         if policy is not None and not policy.admits(role, self._tool):
             message = f"no rule of the policy lets a caller with the role {role} use this tool"
@@ -146,7 +149,7 @@ class Gate:
             AdapterError: the policy refuses them.
             Unsettled: something must be found out first.
         """
-        policy = self._gates.policy
+        policy, self._passed = self._gates.policy, False
         if policy is not None:
             rules = policy.deciding(self._caller.role, self._tool, changes)
             self._rules |= rules
@@ -167,12 +170,14 @@ class Gate:
             told = self._changes + list(changes)
             if any(rule.approve for _, rule in rules.values()):
                 if self._approved is None:
-                    self._changes = told
+                    self._asked = told
                     raise Unsettled
                 if self._approved[: len(told)] != told:
                     message = "what the call would change is not what was approved"
                     raise AdapterError("approval_denied", message, outcome="not_sent")
-            policy.spend(self._caller.name, {name for name, _ in rules.values()})
+            names = {name for name, _ in rules.values()} - self._counted
+            policy.spend(self._caller.name, names)
+            self._counted |= names
         self._changes += changes
         self._passed = True
 
@@ -188,7 +193,7 @@ class Gate:
             for target in needed.targets:
                 self._present[target] = await present(target)
             return
-        request = await self._request(present)
+        request = self._request(present)
         outside = any(rule.approve == "inbox" for _, rule in self._rules.values())
         try:
             self._approved_by = await self._gates.approvals.obtain(self._context, request, outside=outside)
@@ -196,16 +201,29 @@ class Gate:
             self._record("asked", approval=request.digest[:16])
             raise
         # Time has passed: what the targets hold is asked for again.
-        self._approved, self._present = self._changes, {}
+        self._approved, self._present = self._asked, {}
 
-    async def _request(self, present: Present | None) -> Request:
-        caller, approvals = self._caller, self._gates.approvals
+    def _request(self, present: Present | None) -> Request:
         arguments = json.dumps(self._arguments)
-        if len(self._changes) > _MOST_SHOWN or len(arguments) > _LONGEST:
+        if len(self._asked) > _MOST_SHOWN or len(arguments) > _LONGEST:
             message = f"a person can approve {_MOST_SHOWN} targets and {_LONGEST} characters of arguments at once"
             raise AdapterError("limit_exceeded", message, outcome="not_sent")
+        policy = self._gates.policy
+        bound = {
+            "endpoint": self._gates.endpoint,
+            "principal": self._caller.name,
+            "role": self._caller.role,
+            "tool": self._tool,
+            "arguments": self._arguments,
+            "changes": [[target, _plain(value)] for target, value in self._asked],
+            "policy": None if policy is None else policy.digest,
+        }
+        return Request(lambda: self._question(present, arguments), bound)
+
+    async def _question(self, present: Present | None, arguments: str) -> str:
+        caller, approvals = self._caller, self._gates.approvals
         lines = [f"Write to {self._gates.endpoint}?"]
-        for target, value in self._changes:
+        for target, value in self._asked:
             _, rule = self._rules[target]
             line = f"- {json.dumps(target)}" + ("" if rule.label is None else f" ({rule.label})")
             if present is not None:
@@ -216,17 +234,7 @@ class Gate:
             f"Tool {self._tool}, arguments {arguments}",
             f"Asked for by {json.dumps(caller.name)} ({caller.role}); for {approvals.valid_s:g} s.",
         ]
-        policy = self._gates.policy
-        bound = {
-            "endpoint": self._gates.endpoint,
-            "principal": caller.name,
-            "role": caller.role,
-            "tool": self._tool,
-            "arguments": self._arguments,
-            "changes": [[target, _plain(value)] for target, value in self._changes],
-            "policy": None if policy is None else policy.digest,
-        }
-        return Request("\n".join(lines), bound)
+        return "\n".join(lines)
 
     def sending(self, request_id: str) -> None:
         """Put the intent on disk.
@@ -234,8 +242,8 @@ class Gate:
         Raises:
             AdapterError: ``audit_unavailable``, or ``access_denied``: the tool has not told what it changes.
         """
-        if self._gates.policy is not None and not self._changes:
-            message = "this tool does not say what it changes, so it may not write while there is a policy"
+        if self._gates.policy is not None and not (self._passed and self._changes):
+            message = "this tool does not say what it changes, or goes on after a refusal; while there is a policy it may not write"
             raise AdapterError("access_denied", message, outcome="not_sent")
         if not self.has_intent or self._recorded < len(self._changes):
             self._record("intent", request_id=request_id)
@@ -284,7 +292,7 @@ class Gate:
             operation=self._operation,
             endpoint=self._gates.endpoint,
             arguments=_argument_text(self._arguments),
-            changes=[[target, _plain(value)] for target, value in self._changes],
+            changes=[[target, _plain(value)] for target, value in self._changes or self._asked],
             rules=sorted({name for name, _ in self._rules.values()}),
             decision=self._decision if event != "asked" else "approval",
             approved_by=self._approved_by,
