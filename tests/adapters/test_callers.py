@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import io
 import json
 import os
 import subprocess
@@ -22,6 +23,8 @@ from mcp.client import Client as SdkClient
 from mcp.client.context import ClientRequestContext
 from mcp.client.streamable_http import streamable_http_client
 from mcp.types import ElicitRequestParams, ElicitResult
+from pytest_otmcp.reference_adapters import modbus
+from pytest_otmcp.reference_adapters.core.run import serve
 
 from .cases import MODBUS
 from .conftest import LEGACY, MODERN, PATIENCE_S, Mock, Rig
@@ -58,22 +61,31 @@ class Issuer:
         return jwt.encode(claims, self._key, algorithm="ES256", headers={"kid": "one"})
 
 
-@pytest.fixture
-def issuer(tmp_path: Path) -> Issuer:
-    return Issuer(tmp_path)
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("callers")
 
 
-@pytest.fixture
-def settings(rig: Rig, tmp_path: Path) -> dict[str, str]:
-    (tmp_path / "policy.toml").write_text(POLICY)
-    log = str(tmp_path / "audit.jsonl")
-    return rig.settings("called", writes="true", OT_POLICY=str(tmp_path / "policy.toml"), OT_AUDIT_LOG=log)
+@pytest.fixture(scope="module")
+def issuer(folder: Path) -> Issuer:
+    return Issuer(folder)
 
 
-@pytest.fixture
-def url(issuer: Issuer, settings: dict[str, str]) -> Iterator[str]:
+@pytest.fixture(scope="module")
+def settings(rig: Rig, folder: Path) -> dict[str, str]:
+    (folder / "policy.toml").write_text(POLICY)
+    return rig.settings("called", writes="true", OT_POLICY=str(folder / "policy.toml"))
+
+
+@pytest.fixture(scope="module")
+def log(folder: Path) -> Path:
+    return folder / "audit.jsonl"
+
+
+@pytest.fixture(scope="module")
+def url(issuer: Issuer, settings: dict[str, str], log: Path) -> Iterator[str]:
     """The adapter over HTTP; OT_ROLE says what it must not be taken for."""
-    with over_http(settings | authorised(issuer)) as found:
+    with over_http(settings | authorised(issuer) | {"OT_AUDIT_LOG": str(log)}) as found:
         yield found
 
 
@@ -125,7 +137,8 @@ def envelope(response: httpx2.Response) -> dict[str, Any]:
     return found
 
 
-def test_a_role_is_that_of_the_token(url: str, issuer: Issuer, device: Mock, tmp_path: Path) -> None:
+def test_a_role_is_that_of_the_token(url: str, issuer: Issuer, device: Mock, log: Path) -> None:
+    before = len(log.read_bytes().splitlines())
     mark = device.mark()
     viewer, operator, engineer = (issuer.token(f"ot:read{more}") for more in ("", " ot:operate", " ot:engineer"))
     for token, address in ((viewer, 20), (operator, 70)):
@@ -135,8 +148,8 @@ def test_a_role_is_that_of_the_token(url: str, issuer: Issuer, device: Mock, tmp
     assert device.since(mark, state_changing=True) == []
     for token, address in ((operator, 20), (engineer, 70)):
         assert envelope(post(url, token, address))["success"]
-    records = [json.loads(line) for line in (tmp_path / "audit.jsonl").read_bytes().splitlines()]
-    assert [record["role"] for record in records[1:]] == ["viewer", "operator", *["operator"] * 2, *["engineer"] * 2]
+    records = [json.loads(line) for line in log.read_bytes().splitlines()[before:]]
+    assert [record["role"] for record in records] == ["viewer", "operator", *["operator"] * 2, *["engineer"] * 2]
 
 
 def test_a_token_that_is_not_to_be_believed_is_refused(
@@ -178,13 +191,15 @@ def test_a_token_that_is_not_to_be_believed_is_refused(
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
 def test_gates_over_http_need_to_know_who_calls(
-    settings: dict[str, str], issuer: Issuer, change: dict[str, str], named: str
+    settings: dict[str, str], issuer: Issuer, monkeypatch: pytest.MonkeyPatch, change: dict[str, str], named: str
 ) -> None:
-    env = {**os.environ, **settings, **authorised(issuer), "MCP_TRANSPORT": "streamable-http", **change}
-    done = subprocess.run(COMMAND, env=env, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-    assert done.returncode == 2
-    assert named in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    for name, value in {**settings, **authorised(issuer), "MCP_TRANSPORT": "streamable-http", **change}.items():
+        monkeypatch.setenv(name, value)
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        assert serve(modbus.build()) == 2
+    assert named in said.getvalue()
+    assert len(said.getvalue().splitlines()) == 1
 
 
 # -- the SDK's clients -------------------------------------------------------------------------------------------
@@ -215,6 +230,7 @@ def approving(client: Any, device: Mock) -> None:
 MODES: list[Any] = ["legacy", "auto"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", MODES)
 def test_a_client_of_the_sdk_asks_over_stdio(settings: dict[str, str], device: Mock, mode: Any) -> None:
     program = StdioServerParameters(
