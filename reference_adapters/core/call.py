@@ -109,16 +109,16 @@ class Call:
         """
         said = self._said or []
         new = [target for target in targets if target not in said]
-        try:
-            if self.gate is not None:
+        if self.gate is not None:
+            try:
                 self.gate.changes(new)
-            if self._bounds is not None:
-                self._bounds.check(new)
-        except AdapterError as refusal:
-            if not self.writes_sent:
-                raise
-            message = f"a part was sent before this was refused: {refusal.message}"
-            raise AdapterError("partial_failure", message, outcome="partial", details=refusal.details) from None
+            except AdapterError as refusal:
+                if not self.writes_sent:
+                    raise
+                message = f"a part was sent before this was refused: {refusal.message}"
+                raise AdapterError("partial_failure", message, outcome="partial", details=refusal.details) from None
+        if self._bounds is not None:
+            self._bounds.check(new)
         self._said = said + new
 
     def begin(self) -> None:

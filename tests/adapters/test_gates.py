@@ -721,6 +721,31 @@ def test_an_approval_of_another_process_is_none(start: Start, device: Mock, tmp_
     assert writes(device, mark) == []
 
 
+def test_a_tool_that_writes_twice_is_decided_and_approved_as_a_whole(
+    sessions: Callable[..., Client], rig: Rig, device: Mock, log: Path, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "pytest_otmcp.reference_adapters.named", "modbus"]
+    file = tmp_path / "policy.toml"
+    settings = rig.settings("batch", writes="true", OT_POLICY=str(file), OT_AUDIT_LOG=str(log), OT_ROLE="operator")
+    mark = device.mark()
+    file.write_text('[rule.size]\ntargets = ["1/holding_registers/41"]')
+    client = sessions(command, settings)
+    assert client.call("start_batch", litres=7).error["code"] == "access_denied"
+    assert writes(device, mark) == []
+    client.abandon()
+    file.write_text('[rule.batch]\ntargets = ["1/holding_registers/41", "1/coils/12"]\napprove = "client"')
+    client = sessions(command, settings, capabilities=FORMS)
+    result = asked(client, "start_batch", litres=7)
+    question = result["inputRequests"]["approval"]["params"]["message"]
+    assert "holding_registers/41" in question
+    assert "coils/12" in question
+    reply = client.reply("start_batch", again(client, result, ACCEPT, "start_batch", litres=7))
+    assert reply.envelope["success"]
+    assert len(writes(device, mark)) == 2
+    intent = records(log)[-2]
+    assert intent["changes"] == [["1/holding_registers/41", 7], ["1/coils/12", True]]
+
+
 def test_more_than_a_person_can_see_is_not_asked(start: Start) -> None:
     policy = '[rule.block]\ntargets = ["1/holding_registers/*"]\napprove = "client"'
     client = start(policy, capabilities=FORMS)
