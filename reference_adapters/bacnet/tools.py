@@ -155,6 +155,14 @@ class Tools:
         )
         return {"alias": arguments.alias, **await self._write(call, asked)}
 
+    async def present(self, call: Call, target: str) -> object:
+        """Return what a target of :meth:`Call.changes` holds."""
+        device, name, property_id = target.split("/")
+        kind, _, instance = name.rpartition(",")
+        place = {"object_type": kind, "object_instance": int(instance), "property_id": property_id}
+        asked = PropertyOf.model_validate({"device_id": int(device), **place})
+        return (await self.read_property(call, asked))["value"]
+
     async def _write(self, call: Call, asked: WriteProperty) -> Written:
         number = known_property(asked.property_id)
         if asked.property_id != "present-value" and not self._configures:

@@ -71,7 +71,8 @@ the order of their definition. The value that a method returns becomes ``data``.
 becomes ``error``; any other exception becomes an ``internal_error``, with its traceback on stderr. A tool that changes the
 plant says ``writes=True``, and by :meth:`Call.changes` what it is about to change, so that ``OT_WRITE_ALLOW`` (a JSON list of targets) and
 ``OT_WRITE_LIMITS`` (target to ``lowest``, ``highest``, ``step`` and ``every_s``) can forbid it, see ``bounds``. Names that users give to
-places of the device are a :class:`NameMap`. Every call has the same steps: the arguments are checked, then the write guard, then the method
+places of the device are a :class:`NameMap`. The same words are those of ``policy``, ``audit`` and ``approval``: what may be written by whom, its
+record on disk before it leaves, and the person who is asked. ``gates`` puts them around a call, and no adapter knows of them. Every call has the same steps: the arguments are checked, then the write guard, then the method
 runs under the deadline.
 
 The method and its link report to the :class:`Call` what only they can know: the connection they use, each request that they send, the

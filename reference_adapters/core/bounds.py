@@ -10,6 +10,7 @@ import math
 import re
 import time
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
@@ -17,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from .errors import AdapterError
 from .settings import ConfigError, Environment
 
-__all__ = ["Bounds"]
+__all__ = ["Bounds", "covers"]
 
 _ALLOW, _LIMITS = "OT_WRITE_ALLOW", "OT_WRITE_LIMITS"
 _PLACES = re.compile(r"(\d+)\.\.(\d+)|\*")
@@ -71,7 +72,7 @@ class Bounds:
             AdapterError: ``access_denied``, ``range_overflow`` or ``rate_limited``.
         """
         for target, _ in changes:
-            if self._allowed is not None and not any(_covers(pattern, target) for pattern in self._allowed):
+            if self._allowed is not None and not any(covers(pattern, target) for pattern in self._allowed):
                 message = f"a target is not on the list of those that may be written ({_ALLOW})"
                 raise AdapterError("access_denied", message, outcome="not_sent", details={"target": target})
         now = time.monotonic()
@@ -124,11 +125,18 @@ def _json(environment: Environment, name: str, kind: TypeAdapter[T]) -> T | None
         raise ConfigError(f"{name}: {'/'.join(map(str, fault['loc'])) or 'the text'}: {fault['msg']}") from None
 
 
-def _covers(pattern: str, target: str) -> bool:
+def covers(pattern: str, target: str) -> bool:
+    """Tell whether a target has the name that a pattern describes, see :class:`Bounds`."""
+    expression, ranges = _expression(pattern)
+    match = expression.fullmatch(target)
+    return match is not None and all(int(found) in one for found, one in zip(match.groups(), ranges, strict=True))
+
+
+@lru_cache(maxsize=4096)
+def _expression(pattern: str) -> tuple[re.Pattern[str], list[range]]:
     parts, ranges, end = [], [], 0
     for place in _PLACES.finditer(pattern):
         parts += [re.escape(pattern[end : place.start()]), "[^/]*" if place[1] is None else "([0-9]{1,9})"]
         ranges += [] if place[1] is None else [range(int(place[1]), int(place[2]) + 1)]
         end = place.end()
-    match = re.fullmatch("".join(parts) + re.escape(pattern[end:]), target)
-    return match is not None and all(int(found) in one for found, one in zip(match.groups(), ranges, strict=True))
+    return re.compile("".join(parts) + re.escape(pattern[end:])), ranges

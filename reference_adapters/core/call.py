@@ -5,10 +5,13 @@ from __future__ import annotations
 import secrets
 import time
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .bounds import Bounds
 from .errors import AdapterError
+
+if TYPE_CHECKING:
+    from .gates import Gate
 
 __all__ = ["Call", "Connection"]
 
@@ -46,6 +49,7 @@ class Call:
         trace: facts of the exchange as it was on the wire; see the envelope's description.
         source: ``device`` when the data came from the device in this call, ``cache`` when it was received earlier,
             else ``none``.
+        gate: what decides on a write, where something does.
         extra: members of ``meta`` that only some calls have: ``age_ms``, ``truncated``, ``untrusted``, ….
     """
 
@@ -58,6 +62,7 @@ class Call:
         writes: bool,
         shared: Connection | None = None,
         bounds: Bounds | None = None,
+        gate: Gate | None = None,
     ) -> None:
         self.protocol = protocol
         self.writes = writes
@@ -69,7 +74,9 @@ class Call:
         self._operation = operation
         self._endpoint = endpoint
         self._bounds = bounds
-        self._said = False
+        self.gate = gate
+        self._said: list[tuple[str, object]] | None = None
+        self._request_id = secrets.token_hex(16)
         self._shared = Connection() if shared is None else shared
         self._used: dict[str, Any] | None = None
         self._started_at = datetime.now(UTC)
@@ -92,15 +99,33 @@ class Call:
     def changes(self, *targets: tuple[str, object]) -> None:
         """Say what the call is about to change, before anything of it is sent.
 
+        What a call says twice is decided once: a tool made of others says first all that these are going to say.
+
         Args:
             targets: name of each target, with the number that it gets in the device's own terms, or None where it is no number.
 
         Raises:
             AdapterError: a target may not be written, or its value is beyond a limit.
         """
+        said = self._said or []
+        new = [target for target in targets if target not in said]
+        if self.gate is not None:
+            try:
+                self.gate.changes(new)
+            except AdapterError as refusal:
+                if not self.writes_sent:
+                    raise
+                message = f"a part was sent before this was refused: {refusal.message}"
+                raise AdapterError("partial_failure", message, outcome="partial", details=refusal.details) from None
         if self._bounds is not None:
-            self._bounds.check(targets)
-        self._said = True
+            self._bounds.check(new)
+        self._said = said + new
+
+    def begin(self) -> None:
+        """Begin, or begin again, before anything was sent that changes the plant."""
+        self._said = None
+        if self.gate is not None:
+            self.gate.begin()
 
     def sending(self, *, changes_state: bool = True) -> None:
         """Note that a request is about to be handed to the transport.
@@ -108,9 +133,12 @@ class Call:
         Args:
             changes_state: False for a question of a writing tool, for instance for the type of its target.
         """
-        if self.writes and changes_state and self._bounds is not None and not self._said:
-            message = "this tool does not say what it changes, so it may not write while there are bounds"
-            raise AdapterError("access_denied", message, outcome="not_sent")
+        if self.writes and changes_state:
+            if self._bounds is not None and self._said is None:
+                message = "this tool does not say what it changes, so it may not write while there are bounds"
+                raise AdapterError("access_denied", message, outcome="not_sent")
+            if self.gate is not None:
+                self.gate.sending(self._request_id)
         self.attempts += 1
         self.writes_sent += self.writes and changes_state
 
@@ -121,15 +149,24 @@ class Call:
 
     def success(self, data: dict[str, Any]) -> dict[str, Any]:
         """Return the envelope of a call that succeeded."""
-        return {"success": True, "data": data, "error": None, "meta": self._meta()}
+        return {"success": True, "data": data, "error": None, "meta": self._meta(None)}
 
     def failure(self, error: AdapterError) -> dict[str, Any]:
         """Return the envelope of a call that failed."""
         data = None if error.partial is None else {"partial": error.partial}
         described = error.as_error(writes=self.writes, sent=self.writes_sent > 0)
-        return {"success": False, "data": data, "error": described, "meta": self._meta()}
+        return {"success": False, "data": data, "error": described, "meta": self._meta(described)}
 
-    def _meta(self) -> dict[str, Any]:
+    def cancelled(self) -> None:
+        """Note that nobody waits for the answer any more."""
+        if self.gate is not None:
+            outcome = "unknown" if self.writes_sent else "not_sent"
+            self.gate.ended(self._request_id, {"code": "cancelled", "outcome": outcome})
+
+    def _meta(self, error: dict[str, Any] | None) -> dict[str, Any]:
+        if self.gate is not None:
+            self.gate.ended(self._request_id, error)
+            self.extra |= self.gate.meta
         started = self._started_at.isoformat(timespec="milliseconds").replace("+00:00", "Z")
         return {
             "schema": "otmcp/1.0",
@@ -139,7 +176,7 @@ class Call:
             "started_at": started,
             "latency_ms": round((time.monotonic() - self._started) * 1000, 3),
             "attempts": self.attempts,
-            "request_id": secrets.token_hex(16),
+            "request_id": self._request_id,
             "source": self.source,
             # A call that ended before it used the connection reports the state that other calls found.
             "connection": self._used or {"state": self._shared.state, "generation": self._shared.generation},

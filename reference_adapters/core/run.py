@@ -2,7 +2,7 @@
 
 Environment: ``MCP_TRANSPORT`` (``stdio`` or ``streamable-http``), ``MCP_HTTP_HOST`` (127.0.0.1), ``MCP_HTTP_PORT``
 (8000; 0 takes a free one), and ``MCP_HTTP_ORIGINS``: the origins of web pages that may call, separated by commas, such as
-``http://localhost:6274`` (none but the server's own).
+``http://localhost:6274`` (none but the server's own). Who may call over HTTP is said in ``principal``; without that everybody on this machine may.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import re
 import socket
 import sys
 
+from .principal import Tokens
 from .server import AdapterServer
 from .settings import ConfigError, Environment
 from .stdio import serve_stdio
@@ -21,7 +22,7 @@ from .stdio import serve_stdio
 __all__ = ["serve"]
 
 _TRANSPORTS = ("stdio", "streamable-http")
-# The server has no authentication; for access from the network an authenticating proxy belongs in front of it.
+# There is no TLS; for access from the network a proxy belongs in front of the server.
 _LOOPBACK = {"127.0.0.1": socket.AF_INET, "localhost": socket.AF_INET, "::1": socket.AF_INET6}
 _BACKLOG = 2048
 _ORIGIN = re.compile(r"https?://[^\s/?#*@]+")
@@ -40,6 +41,9 @@ def serve(server: AdapterServer) -> int:
             raise ConfigError(f"MCP_HTTP_HOST: expected one of {', '.join(_LOOPBACK)}, found {host!r}")
         port = environment.whole("MCP_HTTP_PORT", 8000, 0, 65535)
         origins = _origins(environment)
+        over_http = transport != "stdio"
+        tokens = Tokens.of(environment) if over_http else None
+        server.ready(over_http=over_http, has_tokens=tokens is not None)
     except ConfigError as error:
         print(f"configuration: {error}", file=sys.stderr)
         return 2
@@ -49,10 +53,13 @@ def serve(server: AdapterServer) -> int:
     # other call costs more than it frees (measured: 45 of 1700 us of a read).
     gc.freeze()
     gc.set_threshold(20_000)
-    if transport == "stdio":
+    try:
+        if over_http:
+            return _serve_http(server, host, port, origins, tokens)
         asyncio.run(serve_stdio(server.mcp))
         return 0
-    return _serve_http(server, host, port, origins)
+    finally:
+        server.ended()
 
 
 def _origins(environment: Environment) -> list[str]:
@@ -68,7 +75,7 @@ def _origins(environment: Environment) -> list[str]:
     return origins
 
 
-def _serve_http(server: AdapterServer, host: str, port: int, origins: list[str]) -> int:
+def _serve_http(server: AdapterServer, host: str, port: int, origins: list[str], tokens: Tokens | None) -> int:
     import uvicorn
     from mcp.server.transport_security import TransportSecuritySettings
 
@@ -92,6 +99,8 @@ def _serve_http(server: AdapterServer, host: str, port: int, origins: list[str])
         security = TransportSecuritySettings(
             allowed_hosts=["127.0.0.1:*", "localhost:*", "[::1]:*"], allowed_origins=[*own, *origins]
         )
-        app = server.mcp.streamable_http_app(transport_security=security)
+        # With settings and without a verifier the SDK would be open.
+        auth = None if tokens is None else tokens.settings
+        app = server.mcp.streamable_http_app(transport_security=security, auth=auth, token_verifier=tokens)
         uvicorn.Server(uvicorn.Config(app, log_level="warning", backlog=_BACKLOG)).run(sockets=[listener])
     return 0

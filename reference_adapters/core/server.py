@@ -11,7 +11,7 @@ import json
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 from mcp import MCPError
 from mcp.server import Server, ServerRequestContext
@@ -26,16 +26,20 @@ from mcp.types import (
 )
 from mcp.types.version import MODERN_PROTOCOL_VERSIONS
 
+from .approval import InputRequired
 from .arguments import parse_arguments
 from .bounds import Bounds
 from .call import Call, Connection
 from .errors import AdapterError
+from .gates import Gate, Gates, Unsettled
 from .settings import Environment
 from .tools import AdapterTool, tools_of
 
 __all__ = ["AdapterServer"]
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 MOST_CALLS = 200
 """Calls of tools at the same time. More would only wait for the device until their deadline, and an assistant that is not told
@@ -80,6 +84,8 @@ class AdapterServer:
         self._deadline_s = deadline_s
         self._close = close
         self._bounds = Bounds.of(Environment())
+        self._gates = Gates.of(Environment(), f"{name} {version}", endpoint)
+        self._present: Callable[[Call, str], Awaitable[object]] | None = None
         self._tools: dict[str, AdapterTool] = {}
         self._connection = Connection()
         self._at_work = 0
@@ -106,8 +112,27 @@ class AdapterServer:
         finally:
             await self._close()
 
+    def ready(self, *, over_http: bool, has_tokens: bool) -> None:
+        """Check, when all tools are there, that what the settings demand can be kept.
+
+        Raises:
+            ConfigError: it cannot.
+        """
+        if self._gates is not None:
+            writing = [name for name, tool in self._tools.items() if tool.writes]
+            has_present = self._present is not None
+            self._gates.ready(writing=writing, has_present=has_present, over_http=over_http, has_tokens=has_tokens)
+
+    def ended(self) -> None:
+        """Note that the server has served its last call."""
+        if self._gates is not None:
+            self._gates.close()
+
     def add(self, group: object, *, protocol: str | None = None) -> None:
         """Offer the tools of an object: its methods that :func:`tool` declares.
+
+        A method ``present(call, target)`` that asks the device what a target of :meth:`Call.changes` holds lets a policy have steps, and shows the
+        value to the person who approves a write.
 
         Args:
             group: the object.
@@ -121,6 +146,7 @@ class AdapterServer:
             if name in self._tools:
                 raise ValueError(f"there are two tools named {name}")
             self._tools[name] = tool
+        self._present = getattr(group, "present", self._present)
 
     async def _list_tools(
         self, context: ServerRequestContext[None], params: PaginatedRequestParams | None
@@ -135,9 +161,9 @@ class AdapterServer:
             params = ctx.params or {}
             name = params.get("name")
             if isinstance(name, str) and name in self._tools:
-                result = await self._answer(self._tools[name], params.get("arguments"))
+                result = await self._answer(self._tools[name], params.get("arguments"), ctx)
                 if ctx.protocol_version in MODERN_PROTOCOL_VERSIONS:
-                    result.update(self._completion)
+                    result = self._completion | result
                 return result
         return await call_next(ctx)
 
@@ -146,24 +172,23 @@ class AdapterServer:
         if tool is None:
             # Server/tools, section Error Handling: an unknown tool is a protocol error, not a result.
             raise MCPError(INVALID_PARAMS, f"Unknown tool: {params.name[:100]}")
-        return CallToolResult.model_validate(await self._answer(tool, params.arguments))
+        return CallToolResult.model_validate(await self._answer(tool, params.arguments, context))
 
-    async def _answer(self, tool: AdapterTool, arguments: Any) -> dict[str, Any]:
-        call = Call(
-            protocol=tool.protocol,
-            operation=tool.operation,
-            endpoint=self.endpoint,
-            writes=tool.writes,
-            shared=self._connection,
-            bounds=self._bounds,
-        )
+    async def _answer(self, tool: AdapterTool, arguments: Any, context: ServerRequestContext[None]) -> dict[str, Any]:
+        gate = None
+        if self._gates is not None and tool.writes:
+            gate = self._gates.gate(tool.listing.name, tool.operation, arguments, context)
+        call = self._call(tool, gate)
         try:
             return _result(call.success(await self._perform(tool, call, arguments)))
+        except InputRequired as asked:
+            return asked.result
         except AdapterError as error:
             return _result(call.failure(error))
         except asyncio.CancelledError:
             task = asyncio.current_task()
             if task is not None and task.cancelling():
+                call.cancelled()
                 raise
             # A library has cancelled what the call waited for; passed on, this would end the session.
             return _result(call.failure(AdapterError("connection_lost", "the connection broke during the call")))
@@ -172,10 +197,49 @@ class AdapterServer:
             log.exception("tool %s failed unexpectedly", tool.listing.name)
             return _result(call.failure(AdapterError("internal_error", "the adapter failed unexpectedly; see its log")))
 
+    def _call(self, tool: AdapterTool, gate: Gate | None = None, *, writes: bool | None = None) -> Call:
+        return Call(
+            protocol=tool.protocol,
+            operation=tool.operation,
+            endpoint=self.endpoint,
+            writes=tool.writes if writes is None else writes,
+            shared=self._connection,
+            bounds=self._bounds,
+            gate=gate,
+        )
+
     async def _perform(self, tool: AdapterTool, call: Call, arguments: Any) -> dict[str, Any]:
         parsed = parse_arguments(tool.model, arguments)
         if tool.writes and not self.writes_enabled:
             raise AdapterError("writes_disabled", f"writes are disabled; set {self._switch}=true to enable them")
+        while True:
+            call.begin()
+            try:
+                return await self._in_time(lambda: tool.handler(call, parsed))
+            except Unsettled as needed:
+                assert call.gate is not None
+                # A person may take longer than the deadline.
+                await call.gate.settle(needed, self._asking(tool, call))
+
+    def _asking(self, tool: AdapterTool, call: Call) -> Callable[[str], Awaitable[object]] | None:
+        """Return what asks the device for the present value of a target of a call, where the adapter can do that."""
+        present = self._present
+        if present is None:
+            return None
+
+        async def ask(target: str) -> object:
+            question = self._call(tool, writes=False)
+            try:
+                return await self._in_time(lambda: present(question, target))
+            except AdapterError as error:
+                message = f"what the target holds now could not be read: {error.message}"
+                raise AdapterError(error.code, message, outcome="not_sent") from None
+            finally:
+                call.attempts += question.attempts
+
+        return ask
+
+    async def _in_time(self, work: Callable[[], Awaitable[T]]) -> T:
         if self._at_work >= MOST_CALLS:
             message = f"{MOST_CALLS} calls are being worked on; wait for their answers before you call again"
             raise AdapterError("rate_limited", message, outcome="not_sent", retry_after_ms=RETRY_AFTER_MS)
@@ -183,8 +247,7 @@ class AdapterServer:
         try:
             async with asyncio.timeout(self._deadline_s) as deadline:
                 with _insisting(self._deadline_s):
-                    data: dict[str, Any] = await tool.handler(call, parsed)
-                    return data
+                    return await work()
         except TimeoutError:
             limit = f"within {self._deadline_s:g} s" if deadline.expired() else "in time"
             raise AdapterError("timeout", f"the device did not answer {limit}") from None

@@ -230,6 +230,13 @@ class Tools:
             "state": state,
         }
 
+    async def present(self, call: Call, target: str) -> object:
+        """Return what a target of :meth:`Call.changes` holds."""
+        outstation, kind, index = target.split("/")
+        response = await self._ask(call, int(outstation), kind, int(index))
+        (point,) = exactly(response, kind, range(int(index), int(index) + 1))
+        return point.value
+
     async def _operate(self, call: Call, outstation: int, objects: bytes, *, direct: bool = False) -> int:
         """Operate an output, after selecting it unless ``direct``; return the status, which is that of success."""
         functions = [FunctionCode.DIRECT_OPERATE] if direct else [FunctionCode.SELECT, FunctionCode.OPERATE]

@@ -209,6 +209,10 @@ class Tools(Controller):
         written = await self._write(call, alias.tag, arguments.value)
         return {"alias": arguments.alias, "unit": alias.unit, **written}
 
+    async def present(self, call: Call, target: str) -> object:
+        """Return what a target of :meth:`Call.changes` holds."""
+        return (await self._value(call, target))["value"]
+
     # -- requests -----------------------------------------------------------------------------------------
 
     async def _value(self, call: Call, name: str) -> TagValue:

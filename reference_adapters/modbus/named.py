@@ -51,6 +51,7 @@ class NamedTools:
 
     def __init__(self, tools: Tools) -> None:
         self._tools = tools
+        self.present = tools.present
 
     @tool("modbus.ping")
     async def plant_status(self, call: Call, arguments: Nothing) -> Reachable:
@@ -79,6 +80,9 @@ class NamedTools:
     @tool("modbus.write_holding", writes=True)
     async def start_batch(self, call: Call, arguments: Batch) -> Done:
         """Say how much a batch is to be, and start it."""
+        # Both before the first is sent: a batch that may not be started is not announced either.
+        size = self._tools.targets(Unit(), "holding_registers", _BATCH_LITRES, [arguments.litres])
+        call.changes(*size, *self._tools.targets(Unit(), "coils", _START_BATCH, [True]))
         await self._tools.write_register(call, WriteRegister(address=_BATCH_LITRES, value=arguments.litres))
         await self._tools.write_coil(call, WriteCoil(address=_START_BATCH, value=True))
         return {"done": f"a batch of {arguments.litres} litres has begun"}

@@ -209,6 +209,14 @@ class Tools:
         await self._write_block(call, Unit(), tag.address, encode(raw, tag.type, tag.order))
         return {"tag": arguments.tag, "value": arguments.value, "raw": raw, "unit": tag.unit}
 
+    async def present(self, call: Call, target: str) -> int | bool:
+        """Return what a target of :meth:`Call.changes` holds."""
+        unit, table, address = target.split("/")
+        if table == "coils":
+            coil = Bits(unit_id=int(unit), address=int(address), count=1)
+            return (await self.read_coils(call, coil))["values"][0]
+        return (await self.read_register(call, Cell(unit_id=int(unit), address=int(address))))["value"]
+
     # -- requests -----------------------------------------------------------------------------------------
 
     async def _exchange(self, call: Call, arguments: Unit, send: Send) -> ModbusPDU:
@@ -236,9 +244,13 @@ class Tools:
             ),
         )
 
-    def _changes(self, call: Call, arguments: Unit, table: str, address: int, values: Sequence[object]) -> None:
+    def targets(self, arguments: Unit, table: str, address: int, values: Sequence[object]) -> list[tuple[str, object]]:
+        """Return what a write of these values changes, as :meth:`Call.changes` takes it."""
         unit = self._default_unit if arguments.unit_id is None else arguments.unit_id
-        call.changes(*((f"{unit}/{table}/{address + index}", value) for index, value in enumerate(values)))
+        return [(f"{unit}/{table}/{address + index}", value) for index, value in enumerate(values)]
+
+    def _changes(self, call: Call, arguments: Unit, table: str, address: int, values: Sequence[object]) -> None:
+        call.changes(*self.targets(arguments, table, address, values))
 
     async def _write_block(self, call: Call, arguments: Unit, address: int, values: list[int]) -> None:
         self._changes(call, arguments, "holding_registers", address, values)

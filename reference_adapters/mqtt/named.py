@@ -76,15 +76,21 @@ class NamedTools:
     @tool("mqtt.publish", writes=True, idempotent=False)
     async def switch_all(self, call: Call, arguments: Scene) -> Sent:
         """Switch the light in the kitchen, then that in the hall."""
+        # Both before the first is sent: one of them alone is not what was asked for.
+        call.changes(*((_topic(light), None) for light in ("kitchen", "hall")))
         await self._light(call, "kitchen", state=arguments.state.upper())
         return await self._light(call, "hall", state=arguments.state.upper())
 
     async def _light(self, call: Call, light: str, **members: object) -> Sent:
-        return await self._publish(call, f"home/{light}/set", json.dumps({**members, "transition": _TRANSITION_S}))
+        return await self._publish(call, _topic(light), json.dumps({**members, "transition": _TRANSITION_S}))
 
     async def _publish(self, call: Call, topic: str, payload: str) -> Sent:
         published = await self._tools.publish_message(call, Publish(topic=topic, payload=payload, qos=1))
         return {"delivery": published["delivery"]}
+
+
+def _topic(light: str) -> str:
+    return f"home/{light}/set"
 
 
 def build() -> AdapterServer:

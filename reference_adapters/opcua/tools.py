@@ -46,6 +46,10 @@ class Tools:
         """Do a tool's work with the services of a session; repeat it if the session was lost before any change."""
         return await self._link.perform(call, lambda session: work(Services(session, call)))
 
+    async def present(self, call: Call, target: str) -> object:
+        """Return what a target of :meth:`Call.changes` holds."""
+        return (await self.read_opcua_node(call, OneNode(node_id=target)))["value"]
+
     # -- reading ------------------------------------------------------------------------------------------
 
     @tool("opcua.read")

@@ -152,6 +152,10 @@ class Client:
         env: settings on top of this process's environment.
         era: version of the protocol.
         server: forks the adapter; without it the command is started.
+        capabilities: those that the client declares.
+
+    Attributes:
+        asked: requests of the adapter, which nobody answers by itself.
     """
 
     def __init__(
@@ -160,8 +164,11 @@ class Client:
         env: Mapping[str, str] | None = None,
         era: str = MODERN,
         server: ForkServer | None = None,
+        capabilities: Mapping[str, Any] | None = None,
     ) -> None:
         self.era = era
+        self.capabilities = dict(capabilities or {})
+        self.asked: list[dict[str, Any]] = []
         environment = {**os.environ, **(env or {})}
         self.process: subprocess.Popen[bytes] | Forked
         if server is not None:
@@ -189,7 +196,8 @@ class Client:
 
     def _shake_hands(self) -> None:
         if self.era == LEGACY:
-            parameters = {"protocolVersion": LEGACY, "capabilities": {}, "clientInfo": {"name": "t", "version": "1"}}
+            info = {"name": "t", "version": "1"}
+            parameters = {"protocolVersion": LEGACY, "capabilities": self.capabilities, "clientInfo": info}
             self.server = self.request("initialize", parameters)["result"]
             self.write({"jsonrpc": "2.0", "method": "notifications/initialized"})
         else:
@@ -212,7 +220,8 @@ class Client:
     def _request(self, method: str, params: Mapping[str, Any]) -> dict[str, Any]:
         self._id += 1
         if self.era == MODERN:
-            params = {**params, "_meta": _META}
+            own = {"io.modelcontextprotocol/clientCapabilities": self.capabilities}
+            params = {**params, "_meta": _META | own}
         return {"jsonrpc": "2.0", "id": self._id, "method": method, "params": params}
 
     def answer(self, identifier: Any, timeout_s: float = PATIENCE_S) -> dict[str, Any]:
@@ -242,8 +251,17 @@ class Client:
                     # Every line is a message: nothing else may ever be on stdout.
                     message = parse_strict(line)
                     assert message["jsonrpc"] == "2.0"
-                    self._answers[message["id"]] = message
+                    if "method" in message:
+                        self.asked.append(message)
+                    else:
+                        self._answers[message["id"]] = message
         return bool(ready)
+
+    def question(self) -> dict[str, Any]:
+        """Return the next request of the adapter."""
+        while not self.asked:
+            assert self._read(PATIENCE_S), "nothing was asked"
+        return self.asked.pop(0)
 
     def request(self, method: str, params: Mapping[str, Any]) -> dict[str, Any]:
         return self.answer(self.send(method, params))
@@ -427,9 +445,14 @@ def sessions(fork_server: ForkServer) -> Iterator[Callable[..., Client]]:
     opened: list[Client] = []
 
     def start(
-        command: list[str], env: Mapping[str, str] | None = None, era: str = MODERN, *, forked: bool = True
+        command: list[str],
+        env: Mapping[str, str] | None = None,
+        era: str = MODERN,
+        *,
+        forked: bool = True,
+        capabilities: Mapping[str, Any] | None = None,
     ) -> Client:
-        opened.append(Client(command, env, era, fork_server if forked else None))
+        opened.append(Client(command, env, era, fork_server if forked else None, capabilities))
         return opened[-1]
 
     yield start
@@ -485,10 +508,20 @@ class Rig:
             **more,
         }
 
-    def start(self, name: str, *, writes: str | None = None, forked: bool = True, **more: str) -> Client:
+    def start(
+        self,
+        name: str,
+        *,
+        writes: str | None = None,
+        forked: bool = True,
+        era: str = MODERN,
+        capabilities: Mapping[str, Any] | None = None,
+        **more: str,
+    ) -> Client:
         """Start another adapter for this device."""
         command = [sys.executable, "-m", "pytest_otmcp.reference_adapters", self.case.protocol]
-        return self._start(command, self.settings(name, writes=writes, **more), forked=forked)
+        settings = self.settings(name, writes=writes, **more)
+        return self._start(command, settings, era, forked=forked, capabilities=capabilities)
 
     def ask(self, client: Client | None = None) -> Reply:
         """Make the device answer; everything that the client sent before is then in the journal."""

@@ -224,8 +224,8 @@ def reads_no_deeper(answer: Callable[[], Awaitable[Data]]) -> Callable[[AdapterS
     def apply(server: AdapterServer) -> None:
         genuine = server._answer
 
-        async def answered(tool: Any, arguments: Any) -> Data:
-            return await (answer() if _is_deeper(arguments) else genuine(tool, arguments))
+        async def answered(tool: Any, arguments: Any, context: Any) -> Data:
+            return await (answer() if _is_deeper(arguments) else genuine(tool, arguments, context))
 
         server._answer = answered
 

@@ -47,7 +47,7 @@ def _as_a_word(server: AdapterServer) -> None:
 
 
 def _globs(server: AdapterServer) -> None:
-    core_bounds._covers = lambda pattern, target: fnmatch.fnmatch(target, pattern)
+    core_bounds.covers = lambda pattern, target: fnmatch.fnmatch(target, pattern)
 
 
 def _opened_by_an_argument(tool: str) -> Change:
