@@ -18,7 +18,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, TypedDict, cast
 
 from .. import __version__
 from ..core.errors import UsageError
@@ -33,7 +33,7 @@ from .interference import join_ids
 from .worker import SPOOLS
 
 if TYPE_CHECKING:
-    from ..record.schema import AdapterFacts, Counted, Footer, Header, ItemHead, Settings
+    from ..record.schema import AdapterFacts, Counted, Footer, Header, ItemHead, Settings, WallName
     from ..record.writer import RunWriter
     from ..subject.selection import Selection
     from .options import RunSettings
@@ -43,6 +43,12 @@ __all__ = ["RunRecorder"]
 
 _PACKAGES = ("mcp", "pytest", "pytest-xdist")
 """Distributions whose versions a record states, beside those that the protocols name."""
+
+
+class Walled(TypedDict, total=False):
+    """The member ``walls`` of a record's environment, where there is one."""
+
+    walls: dict[WallName, str | None]
 
 
 class RunRecorder:
@@ -228,6 +234,7 @@ class RunRecorder:
                 "packages": {name: _version(name) for name in (*_PACKAGES, *_protocol_packages())},
                 "started_at": _instant(self._started),
                 "finished_at": None if finished is None else _instant(finished),
+                **_walls(facts["walls"] for facts in self._facts.values()),
             },
             "settings": cast(
                 "Settings",
@@ -289,6 +296,15 @@ def _clear(spools: Path) -> None:
 
 def _instant(moment: datetime) -> str:
     return moment.isoformat(timespec="seconds").replace("+00:00", "Z")
+
+
+def _walls(workers: Iterable[Mapping[WallName, str | None]]) -> Walled:
+    """Return the record's account of the walls: each must have stood in every process that had adapters."""
+    told = [walls for walls in workers if walls]
+    if not told:
+        return {}
+    why = {wall: dict.fromkeys(filter(None, (walls[wall] for walls in told))) for wall in told[0]}
+    return {"walls": {wall: "; ".join(sentences) or None for wall, sentences in why.items()}}
 
 
 def _merged(workers: Iterable[Mapping[str, AdapterFacts]]) -> dict[str, AdapterFacts]:

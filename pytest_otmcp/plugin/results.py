@@ -9,7 +9,7 @@ from collections import Counter
 from typing import TypedDict
 
 from ..record.consistency import tool_calls
-from ..record.schema import AdapterFacts, Counted, Device, Finding, ItemBody, Sample
+from ..record.schema import AdapterFacts, Counted, Device, Finding, ItemBody, Sample, WallName
 from ..record.warnings import Warned, WarningTally, failing
 
 __all__ = ["FailedSample", "ItemResult", "Measured", "Tally", "WorkerFacts"]
@@ -45,11 +45,14 @@ class ItemResult(TypedDict):
 
 
 class WorkerFacts(TypedDict):
-    """Facts about a process that executes items: its adapters, its devices, and the seconds by what they were spent on."""
+    """Facts about a process that executes items: its adapters, its devices, the seconds by what they were spent on, and the walls around
+    its adapters, which are empty where it has none.
+    """
 
     adapters: dict[str, AdapterFacts]
     devices: dict[str, Device]
     spent: dict[str, float]
+    walls: dict[WallName, str | None]
 
 
 class Tally:

@@ -312,8 +312,15 @@ class Subject(TypedDict):
     adapters: dict[str, AdapterFacts]
 
 
+WallName = Literal["network", "processes", "files"]
+
+
 class Environment(TypedDict):
-    """Place and time of the run; ``finished_at`` is None as long as the run goes on, and for ever when it was killed."""
+    """Place and time of the run; ``finished_at`` is None as long as the run goes on, and for ever when it was killed.
+
+    ``walls``: None for each wall that the kit saw around every adapter whenever it was started, else why it was not there. A run without
+    adapters, or of a kit without walls, has no such member.
+    """
 
     python: str
     platform: str
@@ -321,6 +328,7 @@ class Environment(TypedDict):
     packages: dict[str, str | None]
     started_at: Instant
     finished_at: Instant | None
+    walls: NotRequired[dict[WallName, str | None]]
 
 
 class Settings(TypedDict):
