@@ -15,8 +15,10 @@ from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from . import show, tell
 from .init import parse_environment, recognise_protocol
+from .isolated import add_option, isolated
 
 if TYPE_CHECKING:
+    from ..session.isolation import Isolation
     from ..subject.model import Adapter
     from ..trial.adapter_under_test import AdapterUnderTest
 
@@ -51,6 +53,7 @@ def add_parser(subparsers: Any) -> None:
         "--secret-env", metavar="NAME", action="append", default=[], help="a variable of COMMAND that takes a secret"
     )
     parser.add_argument("--url", help="endpoint of COMMAND, when it serves streamable HTTP")
+    add_option(parser)
     parser.add_argument("command", metavar="COMMAND", nargs="*", help="how an adapter is started, after --")
     parser.set_defaults(run=run)
 
@@ -62,11 +65,12 @@ def run(args: argparse.Namespace) -> int:
     loop = LoopThread()
     healthy = described = True
     try:
-        for adapter in _adapters(args):
-            tell(f"{protocols()[adapter.protocol].name}: {' '.join(adapter.variants['rw'].command)}")
-            for variant in _different(adapter):
-                healthy &= loop.run(_examine(adapter, variant))
-            described &= bool(adapter.operations)
+        with isolated(args) as isolation:
+            for adapter in _adapters(args):
+                tell(f"{protocols()[adapter.protocol].name}: {' '.join(adapter.variants['rw'].command)}")
+                for variant in _different(adapter):
+                    healthy &= loop.run(_examine(adapter, variant, isolation))
+                described &= bool(adapter.operations)
     finally:
         loop.close()
     if healthy and described:
@@ -123,7 +127,7 @@ def named_or_here(given: Path | None) -> Path | None:
     return given or _SUBJECT
 
 
-async def _examine(adapter: Adapter, variant: str) -> bool:
+async def _examine(adapter: Adapter, variant: str, isolation: Isolation) -> bool:
     """Start one variant and say what is found; tell whether it is well."""
     from ..onboarding.known_causes import find_advice
     from ..onboarding.pack import load_pack
@@ -135,6 +139,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
 
     program = adapter.variants[variant].command[0]
     device = MockDevice(protocols()[adapter.protocol].mock, adapter.protocol)
+    device.walls = isolation.walls(outside=adapter.openings.why_outside)
     under_test = None
     try:
         await device.launch()

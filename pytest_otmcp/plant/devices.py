@@ -60,9 +60,7 @@ class Plant:
     def _why_outside(self, key: str) -> str:
         if key in self._external:
             return f"the device for {protocols()[key].name} is {self._external[key]}"
-        if self._outside.get(key):
-            return f"the adapter for {protocols()[key].name} needs the network of the machine: {self._outside[key]}"
-        return ""
+        return f"{protocols()[key].name}: {why}" if (why := self._outside.get(key)) else ""
 
     async def device(self, name: str) -> Device:
         """Return the device ``protocol`` or ``protocol@instance``, running.

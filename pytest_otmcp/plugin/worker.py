@@ -82,7 +82,7 @@ class Run:
             if self.starting is not None:
                 self.starting(0, len(wanted), len(wanted))
             self._isolation = Isolation(self.settings.isolation)
-            outside = {protocol: adapter.openings.network for protocol, adapter in self.subject.adapters.items()}
+            outside = {protocol: adapter.openings.why_outside for protocol, adapter in self.subject.adapters.items()}
             self._loop, self._plant = LoopThread(), Plant(self.settings.external, self._isolation, outside)
             with settled():
                 self._loop.run(self._plant.launch(wanted))

@@ -169,7 +169,11 @@ def _openings(table: Mapping[str, Any], key: str, directory: Path, *, run: bool)
     if run and (missing := [path for path in writes if not path.exists()]):
         raise Refusal(f"{key}.write", f"{missing[0]} is not there")
     return Openings(
-        network=table["reason"] if table.get("network") == "host" else "", reads=paths("read"), writes=writes
+        why_outside=f"the adapter needs the network of the machine: {table['reason']}"
+        if table.get("network") == "host"
+        else "",
+        reads=paths("read"),
+        writes=writes,
     )
 
 

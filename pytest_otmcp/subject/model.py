@@ -409,11 +409,11 @@ class Openings:
     """What the walls around an adapter leave open to it.
 
     Attributes:
-        network: why it needs the network of the machine; empty where it does not.
+        why_outside: why it needs the network of the machine; empty where it does not.
         reads, writes: paths.
     """
 
-    network: str = ""
+    why_outside: str = ""
     reads: tuple[Path, ...] = ()
     writes: tuple[Path, ...] = ()
 
