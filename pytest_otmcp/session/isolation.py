@@ -216,6 +216,8 @@ class Walls:
         home = env.get("HOME", "")
         view = self.isolation.view({*self.reads, *_needed(command, env, cwd)}, self.writes)
         if view is not None:
+            # Who starts an adapter with a path that leads to a socket means it.
+            view["sockets"] = [word for word in command if word.startswith("/")]
             view["layers"] = [path for path in (home, cwd) if path not in ("", "/") and os.path.isdir(path)]
         return {"network": self.network, "view": view}
 

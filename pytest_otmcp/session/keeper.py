@@ -346,7 +346,7 @@ def _tried(cwd: str) -> Any:
         try:
             walls.unshare(walls.NEW_PROCESSES, "a process namespace")
             if (first := os.fork()) == 0:
-                walls.enclose(reads=[], writes=[], layers=[cwd] if cwd != "/" else [], cwd=cwd)
+                walls.enclose(reads=[], writes=[], sockets=[], layers=[cwd] if cwd != "/" else [], cwd=cwd)
             else:
                 os.waitpid(first, 0)
         except OSError as error:

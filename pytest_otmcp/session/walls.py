@@ -143,7 +143,9 @@ def serve_sockets(asked: socket.socket) -> None:
 # -- processes and files --------------------------------------------------------------------------------------------
 
 
-def enclose(*, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str], cwd: str) -> None:
+def enclose(
+    *, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str], sockets: Sequence[str], cwd: str
+) -> None:
     """Give this process, the first of a new namespace of processes, a view of the machine of its own.
 
     Files are read-only. ``/tmp`` and its like, ``/run`` and ``/dev`` are its own and all but empty. No Unix socket of the machine that has
@@ -153,12 +155,13 @@ def enclose(*, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str
         reads: paths that can be read although they lie in a folder that is its own; devices among them can be used.
         writes: paths that are written to for good.
         layers: folders in which what is written lies above what is there, and ends with the processes.
+        sockets: paths of Unix sockets that can be reached nevertheless.
         cwd: its working directory.
 
     Raises:
         RefusedError: the machine refuses a step.
     """
-    sockets = list(_sockets())
+    masked = set(_sockets()) - {*sockets, *reads, *writes}
     unshare(_NEW_MOUNTS | _NEW_IPC | _NEW_NAME, "a mount namespace")
     _mount("none", "/", "", _RECURSIVE | _PRIVATE)
     nodes = {f"/dev/{name}": _held(f"/dev/{name}") for name in _NODES}
@@ -182,7 +185,7 @@ def enclose(*, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str
     for path, tree in nodes.items():
         _place(tree, path)
         os.close(tree)
-    for path in sockets:
+    for path in masked:
         if os.path.lexists(path):
             _mount("/dev/null", path, "", _BIND)
     os.chdir(cwd)
