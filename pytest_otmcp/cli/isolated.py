@@ -45,6 +45,10 @@ def isolated(args: argparse.Namespace) -> Iterator[Isolation]:
                 if why is not None:
                     without.setdefault(why, []).append(wall)
             for why, walls in without.items():
-                show(f"no wall around {' and '.join(walls)}: {why}", sys.stderr)
+                show(f"no wall around {_listed(walls)}: {why}", sys.stderr)
     finally:
         isolation.close()
+
+
+def _listed(words: list[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))

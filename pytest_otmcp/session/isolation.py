@@ -12,6 +12,7 @@ import os
 import re
 import shutil
 import socket
+import stat
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -63,7 +64,7 @@ class Isolation:
         self._hand: socket.socket | None = None
         self.keeper = Keeper(self._words)
         if mode == OFF:
-            self._miss(WALLS, "it was switched off")
+            self._miss(WALLS, "they were switched off")
         else:
             self._build()
 
@@ -217,7 +218,7 @@ class Walls:
         view = self.isolation.view({*self.reads, *_needed(command, env, cwd)}, self.writes)
         if view is not None:
             # Who starts an adapter with a path that leads to a socket means it.
-            view["sockets"] = [word for word in command if word.startswith("/")]
+            view["reads"] += [word for word in command if word.startswith("/") and _is_socket(word)]
             view["layers"] = [path for path in (home, cwd) if path not in ("", "/") and os.path.isdir(path)]
         return {"network": self.network, "view": view}
 
@@ -248,6 +249,13 @@ def _needed(command: Sequence[str], env: Mapping[str, str], cwd: str) -> Iterato
 _FOLDERS = ("/tmp", "/var/tmp")  # noqa: S108
 _EXACT = ("/run/", "/dev/")
 _KIT = Path(__file__).parents[2]
+
+
+def _is_socket(path: str) -> bool:
+    try:
+        return stat.S_ISSOCK(os.stat(path).st_mode)
+    except OSError:
+        return False
 
 
 def _alone() -> bool:

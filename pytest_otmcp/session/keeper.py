@@ -163,6 +163,8 @@ class _Watcher:
 
     def _start(self, network: bool, view: dict[str, Any] | None, **adapter: Any) -> bool:
         failed, fail = os.pipe()
+        # Those of the machine, whose network this process is about to leave.
+        sockets = [] if view is None else [*walls.socket_paths()]
         try:
             if network:
                 assert self._network is not None
@@ -178,7 +180,7 @@ class _Watcher:
             for number in _HANDLED:
                 signal.signal(number, signal.SIG_DFL)
             if view is not None:
-                self._be_first(fail, view, **adapter)
+                self._be_first(fail, {**view, "sockets": sockets}, **adapter)
             self._become_adapter(fail, walled=network, **adapter)
         self._running = True
         self._tells.close()

@@ -27,6 +27,7 @@ __all__ = [
     "give_up_privileges",
     "join",
     "serve_sockets",
+    "socket_paths",
     "unshare",
 ]
 
@@ -148,20 +149,18 @@ def enclose(
 ) -> None:
     """Give this process, the first of a new namespace of processes, a view of the machine of its own.
 
-    Files are read-only. ``/tmp`` and its like, ``/run`` and ``/dev`` are its own and all but empty. No Unix socket of the machine that has
-    a path now can be reached.
+    Files are read-only. ``/tmp`` and its like, ``/run`` and ``/dev`` are its own and all but empty.
 
     Args:
         reads: paths that can be read although they lie in a folder that is its own; devices among them can be used.
         writes: paths that are written to for good.
         layers: folders in which what is written lies above what is there, and ends with the processes.
-        sockets: paths of Unix sockets that can be reached nevertheless.
+        sockets: paths of Unix sockets that cannot be reached, but for those that are read or written.
         cwd: its working directory.
 
     Raises:
         RefusedError: the machine refuses a step.
     """
-    masked = set(_sockets()) - {*sockets, *reads, *writes}
     unshare(_NEW_MOUNTS | _NEW_IPC | _NEW_NAME, "a mount namespace")
     _mount("none", "/", "", _RECURSIVE | _PRIVATE)
     nodes = {f"/dev/{name}": _held(f"/dev/{name}") for name in _NODES}
@@ -185,7 +184,7 @@ def enclose(
     for path, tree in nodes.items():
         _place(tree, path)
         os.close(tree)
-    for path in masked:
+    for path in {*sockets}.difference(reads, writes):
         if os.path.lexists(path):
             _mount("/dev/null", path, "", _BIND)
     os.chdir(cwd)
@@ -199,8 +198,8 @@ def give_up_privileges() -> None:
         _libc.prctl(_DROP_FROM_BOUNDS, ctypes.c_ulong(capability), 0, 0, 0)
 
 
-def _sockets() -> Iterator[str]:
-    """Return the paths of the machine's Unix sockets that have one (proc_net(5), Documentation/filesystems/proc.rst)."""
+def socket_paths() -> Iterator[str]:
+    """Return the paths of the Unix sockets that were made in this process's network and have one (``/proc/net/unix``)."""
     with open("/proc/self/net/unix", encoding="utf-8", errors="surrogateescape") as file:
         paths = {line.rstrip("\n").split(" ", 7)[-1].lstrip() for line in file}
     yield from (path for path in paths if path.startswith("/"))
