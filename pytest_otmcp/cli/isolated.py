@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from ..core.walls import AUTO, MODES, OFF
+from ..core.walls import AUTO, MODES, OFF, missing
 from . import show
 
 if TYPE_CHECKING:
@@ -40,15 +40,7 @@ def isolated(args: argparse.Namespace) -> Iterator[Isolation]:
     try:
         yield isolation
         if args.isolation != OFF:
-            without: dict[str, list[str]] = {}
-            for wall, why in isolation.account().items():
-                if why is not None:
-                    without.setdefault(why, []).append(wall)
-            for why, walls in without.items():
-                show(f"no wall around {_listed(walls)}: {why}", sys.stderr)
+            for sentence in missing(isolation.account()):
+                show(sentence, sys.stderr)
     finally:
         isolation.close()
-
-
-def _listed(words: list[str]) -> str:
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))

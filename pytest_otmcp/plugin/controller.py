@@ -25,6 +25,7 @@ from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
 from ..core.text import counted, recorded_name
 from ..core.verdict import DeviationReport, ExitCode, Status, Verdict, decide, exit_code, judge_deviations
+from ..core.walls import Wall
 from ..protocols.external import external_devices
 from ..protocols.registry import protocols
 from ..record.schema import ROLES, SCHEMA
@@ -33,7 +34,7 @@ from .interference import join_ids
 from .worker import SPOOLS
 
 if TYPE_CHECKING:
-    from ..record.schema import AdapterFacts, Counted, Footer, Header, ItemHead, Settings, WallName
+    from ..record.schema import AdapterFacts, Counted, Footer, Header, ItemHead, Settings
     from ..record.writer import RunWriter
     from ..subject.selection import Selection
     from .options import RunSettings
@@ -48,7 +49,7 @@ _PACKAGES = ("mcp", "pytest", "pytest-xdist")
 class Walled(TypedDict, total=False):
     """The member ``walls`` of a record's environment, where there is one."""
 
-    walls: dict[WallName, str | None]
+    walls: dict[Wall, str | None]
 
 
 class RunRecorder:
@@ -298,7 +299,7 @@ def _instant(moment: datetime) -> str:
     return moment.isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
-def _walls(workers: Iterable[Mapping[WallName, str | None]]) -> Walled:
+def _walls(workers: Iterable[Mapping[Wall, str | None]]) -> Walled:
     """Return the record's account of the walls: each must have stood in every process that had adapters."""
     told = [walls for walls in workers if walls]
     if not told:

@@ -8,8 +8,9 @@ from array import array
 from collections import Counter
 from typing import TypedDict
 
+from ..core.walls import Wall
 from ..record.consistency import tool_calls
-from ..record.schema import AdapterFacts, Counted, Device, Finding, ItemBody, Sample, WallName
+from ..record.schema import AdapterFacts, Counted, Device, Finding, ItemBody, Sample
 from ..record.warnings import Warned, WarningTally, failing
 
 __all__ = ["FailedSample", "ItemResult", "Measured", "Tally", "WorkerFacts"]
@@ -52,7 +53,7 @@ class WorkerFacts(TypedDict):
     adapters: dict[str, AdapterFacts]
     devices: dict[str, Device]
     spent: dict[str, float]
-    walls: dict[WallName, str | None]
+    walls: dict[Wall, str | None]
 
 
 class Tally:

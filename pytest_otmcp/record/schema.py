@@ -16,6 +16,7 @@ import msgspec
 
 from ..core.journal_entry import JournalEntry
 from ..core.text import LONGEST_NAME
+from ..core.walls import Wall
 
 __all__ = [
     "COUNTED",
@@ -312,9 +313,6 @@ class Subject(TypedDict):
     adapters: dict[str, AdapterFacts]
 
 
-WallName = Literal["network", "processes", "files"]
-
-
 class Environment(TypedDict):
     """Place and time of the run; ``finished_at`` is None as long as the run goes on, and for ever when it was killed.
 
@@ -328,7 +326,7 @@ class Environment(TypedDict):
     packages: dict[str, str | None]
     started_at: Instant
     finished_at: Instant | None
-    walls: NotRequired[dict[WallName, str | None]]
+    walls: NotRequired[dict[Wall, str | None]]
 
 
 class Settings(TypedDict):

@@ -22,8 +22,7 @@ from typing import Any
 
 from ..core.errors import KitError, UsageError
 from ..core.text import one_line
-from ..core.walls import AUTO, NETWORK, OFF, REQUIRE, WALLS
-from ..record.schema import WallName
+from ..core.walls import AUTO, NETWORK, OFF, REQUIRE, WALLS, Wall
 from .keeping import Keeper
 
 __all__ = ["Isolation", "Walls"]
@@ -58,7 +57,7 @@ class Isolation:
 
     def __init__(self, mode: str = AUTO) -> None:
         self._mode = mode
-        self._missing: dict[WallName, dict[str, None]] = {wall: {} for wall in WALLS}
+        self._missing: dict[Wall, dict[str, None]] = {wall: {} for wall in WALLS}
         self._descriptors: list[int] = []
         self._view = self._used = False
         self._hand: socket.socket | None = None
@@ -104,7 +103,7 @@ class Isolation:
             raise UsageError(one_line(f"isolation is required, and {sentence}"))
         self._miss((NETWORK,) if wall == "network" else _OF_A_VIEW, sentence)
 
-    def _miss(self, walls: Iterable[WallName], sentence: str) -> None:
+    def _miss(self, walls: Iterable[Wall], sentence: str) -> None:
         for wall in walls:
             self._missing[wall][sentence] = None
 
@@ -120,7 +119,7 @@ class Isolation:
         network = self._network is not None and not outside
         return Walls(isolation=self, network=network) if network or self._view else None
 
-    def account(self) -> dict[WallName, str | None]:
+    def account(self) -> dict[Wall, str | None]:
         """Return for each wall None, if it stood around every adapter, or why it did not; nothing before the first adapter."""
         return {wall: "; ".join(why) or None for wall, why in self._missing.items()} if self._used else {}
 

@@ -185,9 +185,9 @@ unclaimed = {}
 
 
 LOST = {
-    "user": "no wall around network, processes and files: this machine refuses a user namespace (No space left on device); ",
-    "net": "no wall around network: this machine refuses a network namespace (No space left on device); ",
-    "mnt": "no wall around processes and files: this machine refuses a mount namespace (No space left on device); ",
+    "user": "No wall around network, processes and files: this machine refuses a user namespace (No space left on device); ",
+    "net": "No wall around network: this machine refuses a network namespace (No space left on device); ",
+    "mnt": "No wall around processes and files: this machine refuses a mount namespace (No space left on device); ",
 }
 
 
