@@ -37,8 +37,14 @@ _NO_NAMES = (
     r"Temporary failure in name resolution|Name or service not known|EAI_AGAIN|ENOTFOUND|Could not resolve host|dns error|"
     r"failed to lookup address"
 )
-# These causes were seen with adapters from the package index; the most specific come first.
+# Most of these causes were seen with adapters from the package index; the most specific come first.
 _CAUSES = (
+    KnownCause(
+        group="network",
+        pattern=r"Cannot connect to the Docker daemon|Cannot connect to Podman|connect: no such file or directory.*docker\.sock",
+        cause="Its command starts a container, and it has neither the network nor the sockets of the machine.",
+        remedy="Say --isolation=off here, and isolation = { network = 'host', reason = '...', read = ['/run/docker.sock'] } in the subject file.",
+    ),
     KnownCause(
         group="network",
         pattern=_NO_NAMES,

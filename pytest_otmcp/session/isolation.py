@@ -157,8 +157,9 @@ class Isolation:
         """Return the request for a view of the machine; None where the machine refuses it."""
         if not self._view or self._missing[_OF_A_VIEW[0]]:
             return None
-        there = {path for path in reads if os.path.lexists(path)}
-        return {"reads": sorted(there - set(writes)), "writes": list(writes)}
+        written = {os.path.realpath(path) for path in writes}
+        read = {os.path.realpath(path) for path in reads if os.path.exists(path)}
+        return {"reads": sorted(read - written), "writes": sorted(written)}
 
     def saw(self, namespaces: Mapping[str, int], *, network: bool, view: bool) -> None:
         """Compare the namespaces of an adapter's process with those that it should have.
@@ -213,12 +214,12 @@ class Walls:
 
     def request(self, command: Sequence[str], env: Mapping[str, str], cwd: str) -> dict[str, Any]:
         """Return what the keeper is asked for: see ``keeper``."""
-        home = env.get("HOME", "")
-        view = self.isolation.view({*self.reads, *_needed(command, env, cwd)}, self.writes)
+        folders = {os.path.realpath(path) for path in (cwd, env.get("HOME", "")) if os.path.isdir(path)}
+        # Who starts an adapter with a path that leads to a socket means it.
+        meant = {word for word in command if word.startswith("/") and _is_socket(word)}
+        view = self.isolation.view({*self.reads, *meant, *_needed(command, env, cwd)}, self.writes)
         if view is not None:
-            # Who starts an adapter with a path that leads to a socket means it.
-            view["reads"] += [word for word in command if word.startswith("/") and _is_socket(word)]
-            view["layers"] = [path for path in (home, cwd) if path not in ("", "/") and os.path.isdir(path)]
+            view["layers"] = sorted(folders - {"/"})
         return {"network": self.network, "view": view}
 
     def saw(self, request: Mapping[str, Any], namespaces: Mapping[str, int]) -> None:

@@ -178,14 +178,14 @@ def enclose(
         if path in writes or any(_is_below(path, folder) for folder in (*own, *layers)):
             _place(seen[path], path)
         if path in layers and not any(_is_below(path, folder) for folder in writes):
-            with contextlib.suppress(*(() if path == cwd else (RefusedError,))):
+            with contextlib.suppress(*(() if path == os.path.realpath(cwd) else (RefusedError,))):
                 _lay_over(path)
         os.close(seen[path])
     for path, tree in nodes.items():
         _place(tree, path)
         os.close(tree)
-    for path in {*sockets}.difference(reads, writes):
-        if os.path.lexists(path):
+    for path in sockets:
+        if os.path.lexists(path) and os.path.realpath(path) not in (*reads, *writes):
             _mount("/dev/null", path, "", _BIND)
     os.chdir(cwd)
 
