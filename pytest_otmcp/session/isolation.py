@@ -29,6 +29,8 @@ __all__ = ["Isolation", "Walls"]
 
 _OF_A_VIEW = tuple(wall for wall in WALLS if wall != NETWORK)
 _ANSWER_BYTES = 4096
+_PATIENCE_S = 60.0
+"""A file system that does not answer must not hold up more than the walls."""
 
 _REMEDIES = (
     (
@@ -78,7 +80,10 @@ class Isolation:
 
     def _build(self) -> None:
         try:
-            said, given, _, _ = socket.recv_fds(self.keeper.start(), _ANSWER_BYTES, 3, socket.MSG_CMSG_CLOEXEC)
+            listening = self.keeper.start()
+            listening.settimeout(_PATIENCE_S)
+            said, given, _, _ = socket.recv_fds(listening, _ANSWER_BYTES, 3, socket.MSG_CMSG_CLOEXEC)
+            listening.settimeout(None)
             refused = json.loads(said)
         except (OSError, ValueError) as error:
             given, refused = [], dict.fromkeys(("network", "view"), (0, f"the process that builds them ({error})"))

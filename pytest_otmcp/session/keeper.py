@@ -327,9 +327,8 @@ def _build(kit: socket.socket, cwd: str) -> tuple[int | None, set[int]]:
 
 
 def _be_hand(asked: socket.socket) -> NoReturn:
-    """Make the network namespace and stay in it, as the hand by which the kit gets sockets there."""
+    """Make the network namespace and stay in it, as the hand by which the kit gets sockets there, until the kit lets go of it."""
     try:
-        die_with_parent()
         walls.enter_network()
         descriptor = os.open("/proc/self/ns/net", os.O_RDONLY | os.O_CLOEXEC)
         socket.send_fds(asked, [b"[]"], [descriptor])

@@ -33,19 +33,24 @@ def outside() -> Iterator[Outside]:
 LAUNCH = '["{python}", "-P", "-m", "pytest_otmcp.reference_adapters", '
 
 
+def reference(protocols: Collection[str], launch: str) -> str:
+    """Return the subject file of the reference adapters for these protocols, started in another way."""
+    shipped = resources.files("pytest_otmcp.subject").joinpath("reference.toml").read_text(encoding="utf-8")
+    assert LAUNCH in shipped
+    tables = re.split(r"(?m)^(?=\[)", shipped.replace(LAUNCH, launch))
+    names = [re.match(r"\[adapter\.(\w+)", table) for table in tables]
+    return "".join(table for table, name in zip(tables, names, strict=True) if name is None or name[1] in protocols)
+
+
 @pytest.fixture
 def run(tmp_path: Path, outside: Outside) -> Run:
     """Runs Python in a folder with a subject file whose adapters are the reference adapters for these protocols, and reach out."""
     targets = tmp_path / "outside.json"
     targets.write_text(json.dumps(outside.addresses()), encoding="utf-8")
-    shipped = resources.files("pytest_otmcp.subject").joinpath("reference.toml").read_text(encoding="utf-8")
-    tables = re.split(r"(?m)^(?=\[)", shipped.replace(LAUNCH, f'["{{python}}", "{REACHING_OUT}", "{targets}", '))
 
     def run(protocols: Collection[str], *words: str) -> subprocess.CompletedProcess[str]:
-        asked = [
-            table for table in tables if not (known := re.match(r"\[adapter\.(\w+)", table)) or known[1] in protocols
-        ]
-        (tmp_path / "reaching.toml").write_text("".join(asked), encoding="utf-8")
+        text = reference(protocols, f'["{{python}}", "{REACHING_OUT}", "{targets}", ')
+        (tmp_path / "reaching.toml").write_text(text, encoding="utf-8")
         command = [sys.executable, *words]
         return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=1200, check=False)
 
@@ -93,3 +98,24 @@ def test_suite(run: Run, outside: Outside, tmp_path: Path, mode: str, came: set[
     assert record["environment"]["walls"] == dict.fromkeys(
         WALLS, None if mode == "require" else "they were switched off"
     )
+
+
+def test_what_a_shell_makes_in_the_working_directory_is_seen(tmp_path: Path) -> None:
+    isolation_or_skip().close()
+    defective = LAUNCH.replace("reference_adapters", "reference_adapters.defects")
+    text = reference(("mqtt",), defective).replace('defects", "mqtt"]', 'defects", "MU-109q"]')
+    assert "MU-109q" in text
+    (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "--otmcp-reps=1",
+        "--otmcp-only=INJ-003",
+        "--otmcp-isolation=require",
+    ]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "a file is there that a shell makes of a text" in " ".join(done.stdout.split())
+    assert {path.name for path in tmp_path.iterdir() if not path.name.startswith(".")} == {"otmcp.toml", "reports"}

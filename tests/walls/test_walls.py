@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -136,6 +137,26 @@ def test_nothing_survives(seen: Seen, walled: bool) -> None:
     assert seen.alive == 0
 
 
+def test_a_keeper_that_was_killed_has_a_successor_with_the_same_walls(tmp_path: Path) -> None:
+    isolation = isolation_or_skip()
+    outside = Outside(HERE)
+    target = {**outside.addresses(), "file": str(HERE / outside.name), "work": str(tmp_path / "done"), "breed": 0}
+    command = [sys.executable, str(INTRUDER), json.dumps(target)]
+    try:
+        asyncio.run(_intrude(isolation, command, tmp_path, tmp_path))
+        running = isolation.keeper._running
+        assert running is not None
+        running.process.kill()
+        running.process.wait()
+        asyncio.run(_intrude(isolation, command, tmp_path, tmp_path))
+        with isolation.socket(socket.SOCK_STREAM) as made, pytest.raises(ConnectionRefusedError):
+            made.connect(outside.tcp.getsockname())
+        assert outside.came == {}
+    finally:
+        outside.close()
+        isolation.close()
+
+
 # -- machines that refuse ---------------------------------------------------------------------------------------------
 
 REFUSING = """
@@ -206,3 +227,15 @@ def test_what_is_required_is_not_gone_without(subject: Path) -> None:
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.startswith("otmcp: isolation is required, and this machine refuses a mount namespace (")
+
+
+@pytest.mark.parametrize("mode", ["require", "auto"])
+@pytest.mark.long
+def test_a_run_where_the_machine_refuses(subject: Path, mode: str) -> None:
+    words = ("-m", "pytest", "-q", "--otmcp-reps=1", "-k", "M1", f"--otmcp-isolation={mode}", "-p", "no:cacheprovider")
+    done = refused("net", *words, cwd=subject)
+    if mode == "require":
+        assert done.returncode == 2, done.stdout + done.stderr
+        assert "isolation is required, and this machine refuses a network namespace (" in done.stdout
+    else:
+        assert "note: No wall around network: this machine refuses a network namespace" in " ".join(done.stdout.split())
