@@ -129,16 +129,22 @@ async def connected(walls: Walls | None, host: str, port: int) -> socket.socket:
         OSError: there is none.
     """
     loop = asyncio.get_running_loop()
-    found = await loop.getaddrinfo(host, port, family=socket.AF_INET, type=socket.SOCK_STREAM)
-    made = walls.socket(socket.SOCK_STREAM) if walls is not None else socket.socket()
-    try:
-        made.setblocking(False)
-        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        await loop.sock_connect(made, found[0][4])
-    except BaseException:
-        made.close()
-        raise
-    return made
+    failure: OSError | None = None
+    for family, kind, _, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        made = socket.socket(family, kind) if walls is None else walls.socket(kind, family)
+        try:
+            made.setblocking(False)
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            await loop.sock_connect(made, address)
+        except OSError as error:
+            made.close()
+            failure = error
+        except BaseException:
+            made.close()
+            raise
+        else:
+            return made
+    raise failure or OSError(f"{host} has no address")
 
 
 class _Backend(httpcore2.AnyIOBackend):

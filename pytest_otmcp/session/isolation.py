@@ -144,14 +144,14 @@ class Isolation:
         user, network = self._descriptors
         return user, network
 
-    def socket(self, kind: socket.SocketKind) -> socket.socket:
+    def socket(self, kind: int, family: int = socket.AF_INET) -> socket.socket:
         """Return a new socket in the network of the run.
 
         Raises:
             OSError: none can be made.
         """
         assert self._hand is not None
-        self._hand.sendall(bytes([kind]))
+        self._hand.sendall(bytes([family, kind]))
         said, given, _, _ = socket.recv_fds(self._hand, 1, 1, socket.MSG_CMSG_CLOEXEC)
         if not given:
             number = said[0] if said else 0
@@ -209,13 +209,13 @@ class Walls:
         """Return the walls with these paths left open."""
         return replace(self, reads=tuple(reads), writes=tuple(writes))
 
-    def socket(self, kind: socket.SocketKind) -> socket.socket:
+    def socket(self, kind: int, family: int = socket.AF_INET) -> socket.socket:
         """Return a new socket in the network in which the device and its adapters are.
 
         Raises:
             OSError: none can be made.
         """
-        return self.isolation.socket(kind) if self.network else socket.socket(type=kind)
+        return self.isolation.socket(kind, family) if self.network else socket.socket(family, kind)
 
     def request(self, command: Sequence[str], env: Mapping[str, str], cwd: str) -> dict[str, Any]:
         """Return what the keeper is asked for: see ``keeper``."""

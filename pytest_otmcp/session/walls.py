@@ -132,10 +132,10 @@ def enter_network() -> None:
 
 
 def serve_sockets(asked: socket.socket) -> None:
-    """Make sockets of this process's network for another process: each byte that is read is a socket type, the answer has the socket."""
-    while kind := asked.recv(1):
+    """Make sockets of this process's network for another process: it sends address family and type, a byte each, and is sent the socket."""
+    while wanted := asked.recv(2, socket.MSG_WAITALL):
         try:
-            with socket.socket(socket.AF_INET, kind[0]) as made:
+            with socket.socket(*wanted) as made:
                 socket.send_fds(asked, [b"\0"], [made.fileno()])
         except OSError as error:
             asked.sendall(bytes([error.errno or 255]))
