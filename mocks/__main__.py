@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from .exhaustion import EXIT_CODE, is_exhaustion
 from .launcher import run
+from .namespaces import join
 from .packages import MockPackage, built_in, load
 
 _PROGRAM = "python -m pytest_otmcp.mocks"
@@ -21,9 +22,12 @@ def main() -> int:
         prog=_PROGRAM, description=__doc__, epilog=f"The options of a mock: {_PROGRAM} PROTOCOL --help"
     )
     known = ", ".join(built_in())
+    parser.add_argument("--within", metavar="USER,NETWORK", help=argparse.SUPPRESS)
     parser.add_argument("protocol", metavar="PROTOCOL", help=f"{known}, or the dotted name of a module with a mock")
     parser.add_argument("arguments", nargs=argparse.REMAINDER, metavar="OPTION", help="an option of this mock")
     options = parser.parse_args()
+    if options.within:
+        join(*map(int, options.within.split(",")))
     # The collector would search everything that is built now again and again and find nothing; this would be half of
     # the time that the building takes.
     gc.disable()

@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from ..core.matrix import SUITES
 from ..core.statistics import lower_bound, proportion_interval
 from ..core.verdict import Status
+from ..core.walls import missing, stood
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, Item, Run
 from ..record.unread import unread_replies
@@ -58,6 +59,7 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
     """
     subject, kit, footer = run["subject"], run["kit"], run["footer"]
     warned = warnings(run["items"])
+    walls = run["environment"].get("walls", {})
     with_warnings = {name for one in warned for name in one["items"]}
     passed = [item["id"] for item in run["items"] if item["status"] == Status.PASS]
     return {
@@ -100,6 +102,7 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
                 "deviations": [],
                 "settings": run["settings"],
                 "environment": run["environment"],
+                "isolation": {"seen": stood(walls), "missing": missing(walls)},
                 "limits": list(_LIMITS),
             },
         },

@@ -19,10 +19,12 @@ from ..protocols.registry import protocols
 from ..subject.model import READ_WRITE, Function, placeholders
 from . import Refusal, add_json, show_json, tell
 from .doctor import named_or_here
+from .isolated import add_option, isolated
 
 if TYPE_CHECKING:
     from ..protocols.journal import JournalEntry
     from ..protocols.protocol import Operation
+    from ..session.isolation import Isolation
     from ..subject import Subject
     from ..subject.model import Adapter
     from ..trial.reply import Reply
@@ -58,6 +60,7 @@ def add_parser(subparsers: Any) -> None:
         default=READ_WRITE,
         help="with writes enabled or disabled, or another launch of the subject file (default: rw)",
     )
+    add_option(parser)
     parser.add_argument(
         "operation", metavar="OPERATION", help="an operation of the protocol, such as read, or a named command"
     )
@@ -88,7 +91,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{protocols()[adapter.protocol].name}: {missing}")
     loop = LoopThread()
     try:
-        reply, entries = loop.run(_perform(adapter, args.variant, operation, inputs))
+        with isolated(args) as isolation:
+            reply, entries = loop.run(_perform(adapter, args.variant, operation, inputs, isolation))
     except SubjectError as failure:
         doctor = "otmcp doctor" + ("" if args.subject is None else f" --subject={args.subject}")
         raise Refusal(f"{adapter.protocol} ('{doctor}' may know why): {failure}", quotes=True) from None
@@ -230,7 +234,7 @@ def _value(text: str) -> object:
 
 
 async def _perform(
-    adapter: Adapter, variant: str, operation: str, inputs: Mapping[str, object]
+    adapter: Adapter, variant: str, operation: str, inputs: Mapping[str, object], isolation: Isolation
 ) -> tuple[Reply, list[JournalEntry]]:
     from ..plant.mock_device import MockDevice
     from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
@@ -238,6 +242,7 @@ async def _perform(
 
     known = protocols()[adapter.protocol]
     device = MockDevice(known.mock, adapter.protocol)
+    device.walls = isolation.walls(outside=adapter.openings.why_outside)
     under_test = None
     try:
         await device.launch()

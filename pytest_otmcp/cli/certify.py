@@ -24,6 +24,7 @@ from ..core.errors import UsageError
 from ..core.matrix import SUITES
 from ..core.verdict import ExitCode
 from . import Refusal, tell
+from .isolated import add_option
 
 __all__ = ["add_parser", "run"]
 
@@ -56,6 +57,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--out", metavar="DIR", type=Path, default=_DEFAULT_OUT, help="directory to write to (default: %(default)s)"
     )
+    add_option(parser)
     parser.add_argument(
         "--sign",
         metavar="KEY",
@@ -99,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     tell(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})")
-    record, statement = conclude(out, _run_suite(file, args.reps, out))
+    record, statement = conclude(out, _run_suite(file, args.reps, out, args.isolation))
     if args.sign is not None:
         tell(f"{sign(out / 'certificate.json', args.sign).name} is the signature of {args.sign}")
     write_pages(out, record, statement, signed=args.sign is not None)
@@ -113,7 +115,7 @@ def _subject_file(given: Path | None) -> Path | None:
     return default if default.is_file() else None
 
 
-def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
+def _run_suite(subject: Path | None, reps: int, out: Path, isolation: str) -> int:
     """Run the suite in a process of its own; return the exit code of pytest."""
     with tempfile.TemporaryDirectory(prefix="otmcp-certify-") as root:
         ini = Path(root, "pytest.ini")
@@ -131,7 +133,11 @@ def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
         ]
         # The seed is random, so that nobody can know beforehand which values will be written and read.
         command += [f"--otmcp-suite={','.join(SUITES)}", f"--otmcp-reps={reps}"]
-        command += [f"--otmcp-seed={secrets.randbelow(2**32)}", f"--otmcp-report-dir={out}"]
+        command += [
+            f"--otmcp-seed={secrets.randbelow(2**32)}",
+            f"--otmcp-report-dir={out}",
+            f"--otmcp-isolation={isolation}",
+        ]
         if subject is not None:
             command.append(f"--otmcp-subject={subject}")
         return _supervised(command, _environment())

@@ -16,8 +16,10 @@ from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from . import add_json, show, show_json, tell
 from .init import parse_environment, recognise_protocol
+from .isolated import add_option, isolated
 
 if TYPE_CHECKING:
+    from ..session.isolation import Isolation
     from ..session.loop import LoopThread
     from ..subject.model import Adapter
     from ..trial.adapter_under_test import AdapterUnderTest
@@ -53,6 +55,7 @@ def add_parser(subparsers: Any) -> None:
         "--secret-env", metavar="NAME", action="append", default=[], help="a variable of COMMAND that takes a secret"
     )
     parser.add_argument("--url", help="endpoint of COMMAND, when it serves streamable HTTP")
+    add_option(parser)
     parser.add_argument("command", metavar="COMMAND", nargs="*", help="how an adapter is started, after --")
     add_json(parser)
     parser.set_defaults(run=run)
@@ -82,7 +85,8 @@ def run(args: argparse.Namespace) -> int:
 
     loop = LoopThread()
     try:
-        found = [_examined(loop, adapter, quiet=args.json) for adapter in _adapters(args)]
+        with isolated(args) as isolation:
+            found = [_examined(loop, adapter, isolation, quiet=args.json) for adapter in _adapters(args)]
     finally:
         loop.close()
     well = all(one.well for one in found)
@@ -95,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if well else 1
 
 
-def _examined(loop: LoopThread, adapter: Adapter, *, quiet: bool) -> Examined:
+def _examined(loop: LoopThread, adapter: Adapter, isolation: Isolation, *, quiet: bool) -> Examined:
     """Examine the launches of an adapter; say at once what is found, unless this is to be quiet."""
     said: list[str] = []
 
@@ -109,7 +113,7 @@ def _examined(loop: LoopThread, adapter: Adapter, *, quiet: bool) -> Examined:
         tell(f"{protocols()[adapter.protocol].name}: {' '.join(command)}")
     well = True
     for variant in _different(adapter):
-        well &= loop.run(_examine(adapter, variant, say))
+        well &= loop.run(_examine(adapter, variant, isolation, say))
     gaps = _gaps(adapter) if adapter.operations else None
     if gaps:
         say(f"not bound, and not declared as unclaimed: {', '.join(gaps)}; items that need them cannot be tested")
@@ -175,7 +179,7 @@ def named_or_here(given: Path | None) -> Path | None:
     return given or _SUBJECT
 
 
-async def _examine(adapter: Adapter, variant: str, say: Callable[[str], None]) -> bool:
+async def _examine(adapter: Adapter, variant: str, isolation: Isolation, say: Callable[[str], None]) -> bool:
     """Start one variant and say what is found; tell whether it is well."""
     from ..onboarding.known_causes import find_advice
     from ..onboarding.pack import load_pack
@@ -187,6 +191,7 @@ async def _examine(adapter: Adapter, variant: str, say: Callable[[str], None]) -
 
     program = adapter.variants[variant].command[0]
     device = MockDevice(protocols()[adapter.protocol].mock, adapter.protocol)
+    device.walls = isolation.walls(outside=adapter.openings.why_outside)
     under_test = None
     try:
         await device.launch()

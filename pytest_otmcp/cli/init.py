@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import SubjectError, UsageError
 from ..core.files import read
@@ -16,6 +16,10 @@ from ..core.library_registry import libraries
 from ..protocols.registry import protocols
 from ..subject.imports import libraries_used
 from . import Refusal, show, tell
+from .isolated import add_option, isolated
+
+if TYPE_CHECKING:
+    from ..session.isolation import Isolation
 
 __all__ = ["add_parser", "parse_environment", "recognise_protocol", "run"]
 
@@ -65,6 +69,7 @@ def add_parser(subparsers: Any) -> None:
         help="'legacy' for a server that must be addressed by the handshake of 2025-11-25 (default: found out)",
     )
     parser.add_argument("--url", help="its endpoint, when it serves streamable HTTP: http://127.0.0.1:{http_port}/mcp")
+    add_option(parser)
     parser.add_argument("--deadline", metavar="S", type=float, default=15.0, help="seconds for each call (default: 15)")
     parser.add_argument("--out", metavar="FILE", type=Path, default=_DEFAULT, help="default: otmcp.toml")
     parser.add_argument("--force", action="store_true", help="replace FILE when it exists")
@@ -106,8 +111,9 @@ def run(args: argparse.Namespace) -> int:
         secret_env=args.secret_env,
     )
 
-    async def work() -> Draft:
+    async def work(isolation: Isolation) -> Draft:
         device = MockDevice(protocols()[protocol].mock, protocol)
+        device.walls = isolation.walls()
         try:
             await device.launch()
             return await draft(adapter, pack, device, tell)
@@ -117,7 +123,8 @@ def run(args: argparse.Namespace) -> int:
     tell(f"{protocols()[protocol].name}: {' '.join(args.command)}")
     loop = LoopThread()
     try:
-        drafted = loop.run(work())
+        with isolated(args) as isolation:
+            drafted = loop.run(work(isolation))
     except SubjectError as failure:
         # One that started and reached nothing has other causes than one that did not start.
         started = failure.code in ("not_proven", "connect_step")

@@ -82,6 +82,8 @@ def _write(out: Path, statement: dict[str, Any]) -> None:
             tell(f"{protocol}: not claimed: {name} ({reason})")
     show(f"{told['applied']['items']} of {told['applied']['of']} items applied")
     show(told["level"]["why"])
+    for sentence in (*told["isolation"]["seen"], *told["isolation"]["missing"]):
+        show(sentence)
     show(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")
 
 

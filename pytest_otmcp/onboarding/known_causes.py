@@ -33,8 +33,24 @@ class KnownCause:
     remedy: str
 
 
-# These causes were seen with adapters from the package index; the most specific come first.
+_NO_NAMES = (
+    r"Temporary failure in name resolution|Name or service not known|EAI_AGAIN|ENOTFOUND|Could not resolve host|dns error|"
+    r"failed to lookup address"
+)
+# Most of these causes were seen with adapters from the package index; the most specific come first.
 _CAUSES = (
+    KnownCause(
+        group="network",
+        pattern=r"Cannot connect to the Docker daemon|Cannot connect to Podman|connect: no such file or directory.*docker\.sock",
+        cause="Its command starts a container, and it has neither the network nor the sockets of the machine.",
+        remedy="Say --isolation=off here, and isolation = { network = 'host', reason = '...', read = ['/run/docker.sock'] } in the subject file.",
+    ),
+    KnownCause(
+        group="network",
+        pattern=_NO_NAMES,
+        cause="It asked for a name of the network, and it has no network but its device's.",
+        remedy="Install beforehand what it loads when it starts, as 'uvx' and 'npx' do; or say --isolation=off here, and isolation.network = 'host' with a reason in the subject file.",
+    ),
     KnownCause(
         group="sdk",
         pattern=r"No module named 'mcp\.server\.fastmcp'|cannot import name 'FastMCP' from 'mcp",

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from ..core.errors import MeddledError
 from ..protocols.journal import JournalEntry
+from ..session.isolation import Walls
 from .endpoint import Endpoint
 from .owners import Sessions
 
@@ -53,12 +54,14 @@ class Device(Protocol):
         accepting_ns: monotonic time since which it serves. A TCP port accepts connections then. A UDP port or a pseudo
             terminal accepts nothing; there it is the time at which the device said that it reads its telegrams.
         sessions: the sessions of adapters that it is there for; its journal says of each entry whose it is.
+        walls: around its adapters, or None for none; its endpoints are where they lead. They are set before it is launched.
     """
 
     running: bool
     faulty: bool
     accepting_ns: int
     sessions: Sessions
+    walls: Walls | None
 
     @property
     def endpoints(self) -> Mapping[str, Endpoint]:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from importlib import import_module
 
 from ..protocols.registry import protocols
+from ..session.isolation import Isolation
 from .device import Device
 from .mock_device import MockDevice
 
@@ -18,9 +19,18 @@ class Plant:
 
     Args:
         external: protocol to the URL of a device of the user's own, used behind the kit's tap instead of the mock.
+        isolation: of the adapters, or None for none.
+        outside: protocol to the reason why its adapter needs the network of the machine; empty where it does not.
     """
 
-    def __init__(self, external: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        external: Mapping[str, str] | None = None,
+        isolation: Isolation | None = None,
+        outside: Mapping[str, str] | None = None,
+    ) -> None:
+        self._isolation = isolation
+        self._outside = dict(outside or {})
         self._external = dict(external or {})
         self._devices: dict[str, Device] = {}
         self._launches: dict[str, asyncio.Task[None]] = {}
@@ -32,7 +42,10 @@ class Plant:
 
     def _launch(self, name: str) -> None:
         if name not in self._devices:
-            device = self._new(name.partition("@")[0])
+            key = name.partition("@")[0]
+            device = self._new(key)
+            if self._isolation is not None:
+                device.walls = self._isolation.walls(outside=self._why_outside(key))
             self._devices[name] = device
             self._launches[name] = asyncio.create_task(device.launch())
 
@@ -43,6 +56,11 @@ class Plant:
         module, _, name = protocol.external.implementation.partition(":")
         device: Device = getattr(import_module(module), name)(self._external[key])
         return device
+
+    def _why_outside(self, key: str) -> str:
+        if key in self._external:
+            return f"the device for {protocols()[key].name} is {self._external[key]}"
+        return f"{protocols()[key].name}: {why}" if (why := self._outside.get(key)) else ""
 
     async def device(self, name: str) -> Device:
         """Return the device ``protocol`` or ``protocol@instance``, running.

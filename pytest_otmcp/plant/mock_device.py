@@ -21,6 +21,7 @@ from ..core.errors import ExhaustedError, KitError, MeddledError, SubjectError
 from ..core.exhaustion import exhausted
 from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
+from ..session.isolation import Walls
 from ..session.process import subject_environment
 from ..session.starvation import Patience, finish_within
 from .device import Journal, check_kept
@@ -115,7 +116,7 @@ class MockDevice:
         running: True while it serves.
         faulty: see :class:`~pytest_otmcp.plant.device.Device`.
         accepting_ns: monotonic time at which its launcher said that it serves.
-        sessions: see :class:`~pytest_otmcp.plant.device.Device`.
+        sessions, walls: see :class:`~pytest_otmcp.plant.device.Device`.
     """
 
     def __init__(self, mock: str, protocol: str | None = None) -> None:
@@ -132,6 +133,7 @@ class MockDevice:
         self.faulty = False
         self.accepting_ns = 0
         self.sessions = Sessions()
+        self.walls: Walls | None = None
 
     def _new_journal(self) -> DeviceJournal:
         described = protocols().get(self._name)
@@ -155,7 +157,12 @@ class MockDevice:
     async def launch(self) -> None:
         """Start the mock program and wait until its device serves, with its simulation paused."""
         # A module of the working directory must not replace one that the mock imports.
-        command = [sys.executable, "-P", "-m", "pytest_otmcp.mocks", self._mock]
+        command = [sys.executable, "-P", "-m", "pytest_otmcp.mocks"]
+        namespaces: tuple[int, ...] = ()
+        if self.walls is not None and self.walls.network:
+            namespaces = self.walls.isolation.namespaces()
+            command.append(f"--within={','.join(map(str, namespaces))}")
+        command.append(self._mock)
         try:
             self._launcher = await asyncio.create_subprocess_exec(
                 *command,
@@ -164,6 +171,7 @@ class MockDevice:
                 stderr=asyncio.subprocess.PIPE,
                 env=subject_environment({}),
                 start_new_session=True,
+                pass_fds=namespaces,
             )
             assert self._launcher.stderr is not None
             self._stderr = asyncio.create_task(_end_of(self._launcher.stderr), name=f"otmcp-stderr-{self._name}")

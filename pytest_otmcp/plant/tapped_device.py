@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from ..core.errors import KitError
 from ..protocols.journal import JournalEntry
 from ..protocols.protocol import Framing
+from ..session.isolation import Walls
 from .device import Journal, check_kept
 from .endpoint import Endpoint, check_free
 from .owners import Sessions
@@ -37,6 +38,7 @@ class TappedDevice:
         running: True while the tap hands on what comes.
         faulty: True while the tap delays what passes.
         accepting_ns: monotonic time since which it does.
+        walls: see :class:`~pytest_otmcp.plant.device.Device`.
     """
 
     def __init__(self, noun: str, target: Endpoint, framing: Framing) -> None:
@@ -48,6 +50,7 @@ class TappedDevice:
         self.faulty = False
         self.accepting_ns = 0
         self.sessions = Sessions()
+        self.walls: Walls | None = None
 
     @property
     def host(self) -> str:

@@ -18,13 +18,14 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, TypedDict, cast
 
 from .. import __version__
 from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
 from ..core.text import counted, recorded_name
 from ..core.verdict import DeviationReport, ExitCode, Status, Verdict, decide, exit_code, judge_deviations
+from ..core.walls import Wall
 from ..protocols.external import external_devices
 from ..protocols.registry import protocols
 from ..record.schema import ROLES, SCHEMA
@@ -43,6 +44,12 @@ __all__ = ["RunRecorder"]
 
 _PACKAGES = ("mcp", "pytest", "pytest-xdist")
 """Distributions whose versions a record states, beside those that the protocols name."""
+
+
+class Walled(TypedDict, total=False):
+    """The member ``walls`` of a record's environment, where there is one."""
+
+    walls: dict[Wall, str | None]
 
 
 class RunRecorder:
@@ -228,6 +235,7 @@ class RunRecorder:
                 "packages": {name: _version(name) for name in (*_PACKAGES, *_protocol_packages())},
                 "started_at": _instant(self._started),
                 "finished_at": None if finished is None else _instant(finished),
+                **_walls(facts["walls"] for facts in self._facts.values()),
             },
             "settings": cast(
                 "Settings",
@@ -289,6 +297,15 @@ def _clear(spools: Path) -> None:
 
 def _instant(moment: datetime) -> str:
     return moment.isoformat(timespec="seconds").replace("+00:00", "Z")
+
+
+def _walls(workers: Iterable[Mapping[Wall, str | None]]) -> Walled:
+    """Return the record's account of the walls: each must have stood in every process that had adapters."""
+    told = [walls for walls in workers if walls]
+    if not told:
+        return {}
+    why = {wall: dict.fromkeys(filter(None, (walls[wall] for walls in told))) for wall in told[0]}
+    return {"walls": {wall: "; ".join(sentences) or None for wall, sentences in why.items()}}
 
 
 def _merged(workers: Iterable[Mapping[str, AdapterFacts]]) -> dict[str, AdapterFacts]:

@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 from ..core.errors import UsageError
 from ..core.matrix import BENCHMARK, REQUIREMENTS, SUITES, repetitions
+from ..core.walls import AUTO, MODES
 from ..protocols.external import ExternalDevice, external_devices
 
 if TYPE_CHECKING:
@@ -36,6 +37,10 @@ _OPTIONS = {
     "protocols": (
         "NAMES",
         "further protocols whose reference adapters are run as well, separated by commas, or all (default: none)",
+    ),
+    "isolation": (
+        "MODE",
+        f"walls around the adapters: {', '.join(MODES)} (default auto: as far as the machine allows, see docs/isolation.md)",
     ),
     "report-dir": ("DIR", "directory for run record, tables and figures (default reports/latest)"),
     "baseline": (
@@ -69,6 +74,7 @@ class RunSettings:
         report_dir: directory of run record, tables and figures.
         seed: seed of the values that repetitions use.
         era: MCP protocol era, ``auto`` or ``legacy``.
+        isolation: the walls around the adapters: ``auto``, ``require`` or ``off``.
         time_scale: factor on deadlines and windows; windows in which nothing may happen are never shortened.
         soak: checks that have a long form take it.
         external: protocol to the URL of the user's device in the mock's place.
@@ -84,6 +90,7 @@ class RunSettings:
     report_dir: Path
     seed: int
     era: str
+    isolation: str
     time_scale: float
     soak: bool
     external: dict[str, str]
@@ -135,6 +142,7 @@ def read_settings(config: pytest.Config) -> RunSettings:
         report_dir=_resolve_report_dir(text("report-dir"), config),
         seed=_read_whole_number("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1),
         era=_check_choice("era", text("era") or "auto", ("auto", "legacy")),
+        isolation=_check_choice("isolation", text("isolation") or AUTO, MODES),
         time_scale=_read_factor(text("time-scale")),
         soak=config.getoption("otmcp_soak") or config.getini("otmcp_soak"),
         external={

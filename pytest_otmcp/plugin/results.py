@@ -8,6 +8,7 @@ from array import array
 from collections import Counter
 from typing import TypedDict
 
+from ..core.walls import Wall
 from ..record.consistency import tool_calls
 from ..record.schema import AdapterFacts, Counted, Device, Finding, ItemBody, Sample
 from ..record.warnings import Warned, WarningTally, failing
@@ -45,11 +46,14 @@ class ItemResult(TypedDict):
 
 
 class WorkerFacts(TypedDict):
-    """Facts about a process that executes items: its adapters, its devices, and the seconds by what they were spent on."""
+    """Facts about a process that executes items: its adapters, its devices, the seconds by what they were spent on, and the walls around
+    its adapters, which are empty where it has none.
+    """
 
     adapters: dict[str, AdapterFacts]
     devices: dict[str, Device]
     spent: dict[str, float]
+    walls: dict[Wall, str | None]
 
 
 class Tally:

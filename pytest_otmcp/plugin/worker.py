@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..plant.devices import Plant
     from ..record.redaction import Redactor
     from ..record.schema import ItemBody, Sample
+    from ..session.isolation import Isolation
     from ..session.loop import LoopThread
     from ..subject import Subject
     from ..trial.bench import Bench
@@ -60,15 +61,17 @@ class Run:
         self.starting: Callable[[int, int, int], None] | None = None
         self.unfinished: ItemResult | None = None
         self._declared_secrets = {secret for adapter in subject.adapters.values() for secret in adapter.secret_values()}
-        self._facts: WorkerFacts = {"adapters": {}, "devices": {}, "spent": {}}
+        self._facts: WorkerFacts = {"adapters": {}, "devices": {}, "spent": {}, "walls": {}}
         self._loop: LoopThread | None = None
         self._plant: Plant | None = None
         self._bench: Bench | None = None
+        self._isolation: Isolation | None = None
 
     def _start(self) -> tuple[LoopThread, Bench]:
         if self._loop is None or self._bench is None:
             from ..core.errors import KitError, UsageError
             from ..plant.devices import Plant
+            from ..session.isolation import Isolation
             from ..session.keeper import hide_memory
             from ..session.loop import LoopThread
             from ..trial.gc_pause import settled
@@ -78,7 +81,9 @@ class Run:
             wanted = self._adapters_needed()
             if self.starting is not None:
                 self.starting(0, len(wanted), len(wanted))
-            self._loop, self._plant = LoopThread(), Plant(self.settings.external)
+            self._isolation = Isolation(self.settings.isolation)
+            outside = {protocol: adapter.openings.why_outside for protocol, adapter in self.subject.adapters.items()}
+            self._loop, self._plant = LoopThread(), Plant(self.settings.external, self._isolation, outside)
             with settled():
                 self._loop.run(self._plant.launch(wanted))
                 # The MCP client takes as long to import as the devices take to start. It is imported on another thread:
@@ -227,6 +232,7 @@ class Run:
                 "adapters": redactor.apply(self._bench.adapters()),
                 "devices": self._bench.devices(),
                 "spent": dict(self._bench.spent.seconds),
+                "walls": {} if self._isolation is None else self._isolation.account(),
             }
         return self._facts
 
@@ -238,7 +244,9 @@ class Run:
             if self._plant is not None:
                 self._loop.run(self._plant.close())
             self._loop.close()
-        self._loop = self._plant = self._bench = None
+        if self._isolation is not None:
+            self._isolation.close()
+        self._loop = self._plant = self._bench = self._isolation = None
 
 
 async def _tell_each_second(waiting: Callable[[float, str], None], under_way: UnderWay) -> None:

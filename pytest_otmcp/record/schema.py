@@ -16,6 +16,7 @@ import msgspec
 
 from ..core.journal_entry import JournalEntry
 from ..core.text import LONGEST_NAME
+from ..core.walls import Wall
 
 __all__ = [
     "COUNTED",
@@ -316,7 +317,11 @@ class Subject(TypedDict):
 
 
 class Environment(TypedDict):
-    """Place and time of the run; ``finished_at`` is None as long as the run goes on, and for ever when it was killed."""
+    """Place and time of the run; ``finished_at`` is None as long as the run goes on, and for ever when it was killed.
+
+    ``walls``: None for each wall that the kit saw around every adapter whenever it was started, else why it was not there. A run without
+    adapters, or of a kit without walls, has no such member.
+    """
 
     python: Name
     platform: Name
@@ -324,6 +329,7 @@ class Environment(TypedDict):
     packages: dict[str, Name | None]
     started_at: Instant
     finished_at: Instant | None
+    walls: NotRequired[dict[Wall, str | None]]
 
 
 class Settings(TypedDict):

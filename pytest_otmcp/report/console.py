@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from ..core.matrix import SUITES
+from ..core.walls import missing
 from ..record.consistency import count_calls
 from ..record.schema import Counted
 from ..record.warnings import said, warnings
@@ -67,6 +68,7 @@ def summary(
         lines += time_budget(run, width)
     if verbosity >= 0:
         lines += [*_levels(run, width), *_narrowed(run, width), *_not_measured(run, width), *_strangers(run, width)]
+        lines += _walls(run, width)
     return [*lines, *_verdict(run, width if fold_verdict else None, baseline)]
 
 
@@ -195,6 +197,12 @@ def _narrowed(run: Run, width: int) -> Iterator[Line]:
 def _not_measured(run: Run, width: int) -> Iterator[Line]:
     for sentence in run["settings"].get("not_measured", {}).values():
         for line in wrapped(f"note: {sentence}", width, "  "):
+            yield line, "plain"
+
+
+def _walls(run: Run, width: int) -> Iterator[Line]:
+    for sentence in missing(run["environment"].get("walls", {})):
+        for line in wrapped(f"note: {printable(sentence)}", width, "  "):
             yield line, "plain"
 
 

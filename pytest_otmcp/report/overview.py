@@ -18,6 +18,7 @@ from ..core.statistics import (
     percentile,
     standard_deviation,
 )
+from ..core.walls import missing, stood
 from ..record.warnings import failing, findings_of, passed_beside
 from . import Item, Run, applies, control_failed, durations, least, phases, recovered, tally
 from . import adapters as having_sessions
@@ -241,6 +242,7 @@ def facts(run: Run) -> list[tuple[str, str]]:
     """Return what the record says about kit, machine and settings."""
     kit, environment, settings, footer = run["kit"], run["environment"], run["settings"], run["footer"]
     spent = footer.get("breakdown_s", {})
+    walls = environment.get("walls", {})
     packages = environment.get("packages", {})
     known = {
         "Kit": f"{kit.get('name')} {kit.get('version')}",
@@ -250,6 +252,7 @@ def facts(run: Run) -> list[tuple[str, str]]:
         "Of that": ", ".join(f"{what} {seconds:.1f} s" for what, seconds in spent.items()),
         "Machine": environment.get("platform"),
         "Processors": environment.get("cpu_count"),
+        "Walls": " ".join((*stood(walls), *missing(walls))),
         "Python": environment.get("python"),
         "Packages": ", ".join(f"{name} {version}" for name, version in packages.items() if version),
         "Settings": ", ".join(

@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 import time
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+import httpcore2
 import httpx2
+from anyio.abc import SocketStream
+from httpcore2._backends.anyio import AnyIOStream
 from mcp.client.streamable_http import streamable_http_client
 
 from ..core.exhaustion import exhausted
@@ -25,6 +29,8 @@ from .process import StopReport, SubjectProcess
 
 if TYPE_CHECKING:
     from mcp.client._transport import TransportStreams
+
+    from .isolation import Walls
 
 __all__ = ["HttpTransport"]
 
@@ -49,6 +55,7 @@ class HttpTransport:
         url: str,
         recorder: FrameRecorder,
         exit_grace_s: float,
+        walls: Walls | None = None,
     ) -> None:
         self.process: SubjectProcess | None = None
         self.stop_report: StopReport | None = None
@@ -58,6 +65,7 @@ class HttpTransport:
         self._url = url
         self._recorder = recorder
         self._exit_grace_s = exit_grace_s
+        self._walls = walls
 
     @property
     def died(self) -> bool:
@@ -86,10 +94,11 @@ class HttpTransport:
             on_line=lambda now, line: secrets.look(line, lambda: STDOUT),
             on_overflow=lambda now: None,
             on_stderr=secrets.stream(STDERR),
+            walls=self._walls,
         )
         try:
             await self._wait_until_accepting(self.process)
-            recording = _RecordingTransport(self._recorder)
+            recording = _RecordingTransport(self._recorder, self._walls)
             async with (
                 httpx2.AsyncClient(transport=recording, timeout=_TIMEOUT) as client,
                 streamable_http_client(self._url, http_client=client) as streams,
@@ -102,24 +111,75 @@ class HttpTransport:
         parts = urlsplit(self._url)
         while not process.exited.is_set():
             try:
-                _, writer = await asyncio.open_connection(parts.hostname, parts.port or 80)
+                connection = await connected(self._walls, parts.hostname or "", parts.port or 80)
             except OSError as error:
                 if exhausted(error) is not None:
                     raise
                 await asyncio.sleep(_POLL_S)
                 continue
-            writer.close()
+            connection.close()
             return
         raise ConnectionError(f"the process ended before {self._url} accepted a connection")
+
+
+async def connected(walls: Walls | None, host: str, port: int) -> socket.socket:
+    """Return a TCP connection to an adapter, in the network in which it is.
+
+    Raises:
+        OSError: there is none.
+    """
+    loop = asyncio.get_running_loop()
+    failure: OSError | None = None
+    for family, kind, _, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        made = socket.socket(family, kind) if walls is None else walls.socket(kind, family)
+        try:
+            made.setblocking(False)
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            await loop.sock_connect(made, address)
+        except OSError as error:
+            made.close()
+            failure = error
+        except BaseException:
+            made.close()
+            raise
+        else:
+            return made
+    raise failure or OSError(f"{host} has no address")
+
+
+class _Backend(httpcore2.AnyIOBackend):
+    """The network in which an adapter is, for the HTTP library."""
+
+    def __init__(self, walls: Walls | None) -> None:
+        self._walls = walls
+
+    async def connect_tcp(
+        self,
+        host: str,
+        port: int,
+        timeout: float | None = None,
+        local_address: str | None = None,
+        socket_options: Iterable[Any] | None = None,
+    ) -> httpcore2.AsyncNetworkStream:
+        try:
+            async with asyncio.timeout(timeout):
+                stream = await SocketStream.from_socket(await connected(self._walls, host, port))
+        except TimeoutError as error:
+            raise httpcore2.ConnectTimeout(str(error)) from error
+        except OSError as error:
+            raise httpcore2.ConnectError(str(error)) from error
+        return AnyIOStream(stream)
 
 
 class _RecordingTransport(httpx2.AsyncBaseTransport):
     """HTTP transport that hands every JSON-RPC message to the recorder."""
 
-    def __init__(self, recorder: FrameRecorder) -> None:
+    def __init__(self, recorder: FrameRecorder, walls: Walls | None) -> None:
         # Both processes are on this machine, so proxies of the environment do not apply.
         # With the library's limit of 100 connections further calls would wait in the kit, and the adapter be blamed for it.
         self._network = httpx2.AsyncHTTPTransport(trust_env=False, limits=httpx2.Limits(max_connections=None))
+        # The library has a place for a network of one's own in what it is made of, and none in its own interface.
+        self._network._pool._network_backend = _Backend(walls)
         self._recorder = recorder
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:

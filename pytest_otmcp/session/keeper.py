@@ -7,12 +7,19 @@ cannot be that ancestor itself: pytest hosts other people's processes. The keepe
 
 The keeper is run as a program of the standard library alone. It reads from a socket: for each adapter a byte ``W`` with four file
 descriptors, which are a socket for the adapter's watcher and the adapter's standard streams; and a byte ``S`` when a watcher has
-ended that should not have: whatever has no watcher is killed then. The kit writes to the watcher a line with
-``{"command", "env", "cwd"}``, then single bytes, and reads lines:
+ended that should not have: whatever has no watcher is killed then. A keeper that is told to build walls (see ``walls``) answers first, with
+a line that says which of them the machine refuses, and with descriptors of a user namespace, a network namespace, and a
+socket for sockets of that network.
+
+The kit writes to the watcher a line with ``{"command", "env", "cwd", "network", "view"}``, then single bytes, and reads lines.
+``network`` tells whether the adapter is put into the network of its own, ``view`` which paths the walls leave open to it: a process
+between watcher and adapter is then the first of a namespace of processes, and when that is killed, the kernel kills all others.
 
 =====================  ==========================================================================================
-``{"pid", "watcher"}``  the adapter runs
+``{"pid", "root", "watcher", "namespaces"}``
+                        the adapter runs; all that descends from ``root`` is the adapter or comes of it
 ``{"failed"}``          number of the error for which it does not; the watcher ends
+``{"refused"}``         number of an error and the wall for which it does not; the watcher ends
 ``{"exit"}``            the adapter has ended, with this code as :mod:`subprocess` has it
 ``{"empty"}``           nothing of it is left
 ``T``                   send SIGTERM to the adapter's process group
@@ -36,6 +43,8 @@ import sys
 import time
 from collections.abc import Collection
 from typing import Any, NoReturn
+
+from . import walls
 
 __all__ = ["die_with_parent", "hide_memory"]
 
@@ -122,7 +131,7 @@ def _newest() -> int:
         return int(file.read().split()[-1])
 
 
-def _kill_descendants(besides: Collection[int] = ()) -> list[str]:
+def _kill_descendants(besides: Collection[int] = (), unnamed: Collection[int] = ()) -> list[str]:
     """Kill all descendants, also those that appear meanwhile, until none is left or :data:`_HUNT_S` have passed.
 
     A look at all processes takes ten milliseconds, so one that forks and ends again and again is never met by it. Between two such looks
@@ -130,6 +139,7 @@ def _kill_descendants(besides: Collection[int] = ()) -> list[str]:
 
     Args:
         besides: children that are left alone with all that descends from them.
+        unnamed: processes that are killed like the others, and expected.
 
     Returns:
         The names of what there was.
@@ -147,7 +157,7 @@ def _kill_descendants(besides: Collection[int] = ()) -> list[str]:
         look, met = _Look(), False
         for number in numbers:
             if (name := look.name(number, besides)) is not None:
-                names.add(name)
+                names |= set() if number in unnamed else {name}
                 met = True
                 with contextlib.suppress(OSError):
                     os.kill(number, signal.SIGKILL)
@@ -171,10 +181,14 @@ def _has_children() -> bool:
 class _Watcher:
     """The process above one adapter."""
 
-    def __init__(self, kit: socket.socket, streams: list[int]) -> None:
+    def __init__(self, kit: socket.socket, streams: list[int], network: int | None) -> None:
         self._kit = kit
         self._streams = streams
+        self._network = network
+        self._told, self._tells = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._told.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
         self._pid = 0
+        self._root = 0
         self._running = False
         self._told_empty = False
 
@@ -192,11 +206,13 @@ class _Watcher:
         signal.set_wakeup_fd(woken, warn_on_full_buffer=False)
         with self._kit.makefile("rb") as lines:
             request = lines.readline()
-        if not request or not self._start(json.loads(request)):
+        if not request or not self._start(**json.loads(request)):
             return
-        watched: list[Any] = [self._kit, wake]
+        watched: list[Any] = [self._kit, wake, self._told]
         while True:
             ready, _, _ = select.select(watched, [], [])
+            if self._told in ready and not self._hear():
+                watched.remove(self._told)
             if wake in ready:
                 os.read(wake, 4096)
                 self._reap()
@@ -209,37 +225,94 @@ class _Watcher:
         except OSError:
             return b""
 
-    def _start(self, request: dict[str, object]) -> bool:
+    def _start(self, network: bool, view: dict[str, Any] | None, **adapter: Any) -> bool:
         failed, fail = os.pipe()
-        self._pid = os.fork()
-        if self._pid == 0:
-            self._become_adapter(fail, **request)  # type: ignore[arg-type]
-        self._running = True
-        for descriptor in (fail, *self._streams):
-            os.close(descriptor)
-        if reason := os.read(failed, 16):
-            os.waitpid(self._pid, 0)
-            self.say(failed=int(reason))
-            return False
-        os.close(failed)
-        self.say(pid=self._pid, watcher=os.getpid())
-        return True
-
-    def _become_adapter(self, fail: int, command: list[str], env: dict[str, str], cwd: str) -> NoReturn:
+        # Those of the machine, whose network this process is about to leave.
+        sockets = [] if view is None else [*walls.socket_paths()]
         try:
-            os.setsid()
-            die_with_parent()
+            if network:
+                assert self._network is not None
+                walls.join(self._network, walls.NEW_NETWORK)
+            if view is not None:
+                walls.unshare(walls.NEW_PROCESSES, "a process namespace")
+        except walls.RefusedError as error:
+            self.say(refused=_refusal(error))
+            return False
+        self._root = os.fork()
+        if self._root == 0:
             signal.set_wakeup_fd(-1)
             for number in _HANDLED:
                 signal.signal(number, signal.SIG_DFL)
+            if view is not None:
+                self._be_first(fail, {**view, "sockets": sockets}, **adapter)
+            self._become_adapter(fail, walled=network, **adapter)
+        self._running = True
+        self._tells.close()
+        for descriptor in (fail, *self._streams):
+            os.close(descriptor)
+        with open(failed, "rb") as file:
+            reason = file.read()
+        if reason:
+            os.waitpid(self._root, 0)
+            self.say(**json.loads(reason))
+            return False
+        namespaces, ancillary, _, _ = self._told.recvmsg(256, socket.CMSG_SPACE(12))
+        # The kernel says which process wrote this, by the number that it has here.
+        (self._pid,) = (int.from_bytes(data[:4], sys.byteorder) for _, _, data in ancillary)
+        root = os.getpid() if view is None else self._root
+        self.say(pid=self._pid, root=root, watcher=os.getpid(), namespaces=json.loads(namespaces))
+        return True
+
+    def _be_first(self, fail: int, view: dict[str, Any], **adapter: Any) -> NoReturn:
+        """Be the first process of its namespace: whatever loses its parent becomes this one's child."""
+        try:
+            die_with_parent()
+            try:
+                os.stat(adapter["cwd"])
+            except OSError as error:
+                _fail(fail, failed=error.errno)
+            try:
+                walls.enclose(**view, cwd=adapter["cwd"])
+            except OSError as error:
+                _fail(fail, refused=_refusal(error))
+            if (number := os.fork()) == 0:
+                self._become_adapter(fail, walled=True, **adapter)
+            for descriptor in (fail, *self._streams, self._kit.fileno()):
+                os.close(descriptor)
+            with contextlib.suppress(ChildProcessError):
+                while True:
+                    ended, status = os.waitpid(-1, 0)
+                    if ended == number:
+                        self._tells.send(json.dumps(os.waitstatus_to_exitcode(status)).encode())
+        finally:
+            os._exit(0)
+
+    def _become_adapter(self, fail: int, walled: bool, command: list[str], env: dict[str, str], cwd: str) -> NoReturn:
+        try:
+            os.setsid()
+            die_with_parent()
+            self._tells.send(json.dumps({kind: _namespace(kind) for kind in ("net", "pid", "mnt")}).encode())
             for target, descriptor in enumerate(self._streams):
                 os.dup2(descriptor, target)
             os.chdir(cwd)
+            if walled:
+                walls.give_up_privileges()
             os.execvpe(command[0], command, env)  # noqa: S606
         except OSError as error:
-            os.write(fail, str(error.errno).encode())
+            _fail(fail, failed=error.errno)
         finally:
             os._exit(255)
+
+    def _hear(self) -> bool:
+        """Tell the kit of the adapter's end, if the first process of its namespace says so; return whether it may say more."""
+        try:
+            said = self._told.recv(256, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return True
+        if said:
+            self._running = False
+            self.say(exit=json.loads(said))
+        return bool(said)
 
     def _reap(self) -> None:
         while True:
@@ -248,6 +321,7 @@ class _Watcher:
             except ChildProcessError:
                 if not self._told_empty:
                     self._told_empty = True
+                    self._hear()
                     self.say(empty=True)
                 return
             if number == 0:
@@ -264,19 +338,99 @@ class _Watcher:
                     os.killpg(self._pid, signal.SIGTERM)
             return True
         self._reap()
-        self.say(left=_kill_descendants()[:_MOST_TOLD])
+        self.say(left=_kill_descendants(unnamed=(self._pid, self._root))[:_MOST_TOLD])
         return False
 
 
-def _keep(kit: socket.socket, parent: int) -> None:
+def _namespace(kind: str) -> int:
+    return os.stat(f"/proc/self/ns/{kind}").st_ino
+
+
+def _refusal(error: OSError) -> list[Any]:
+    return [error.errno, getattr(error, "step", "a view of the machine of its own")]
+
+
+def _fail(fail: int, **event: object) -> NoReturn:
+    os.write(fail, json.dumps(event).encode())
+    os._exit(255)
+
+
+def _build(kit: socket.socket, cwd: str) -> tuple[int | None, set[int]]:
+    """Build the walls that are the same for all adapters, try the others, and tell the kit what the machine refuses.
+
+    Returns:
+        The network namespace, None where there is none, and the numbers of the processes that must stay.
+    """
+    refused: dict[str, Any] = {}
+    given: list[int] = []
+    hand = 0
+    try:
+        walls.enter_user()
+        given.append(os.open("/proc/self/ns/user", os.O_RDONLY | os.O_CLOEXEC))
+    except walls.RefusedError as error:
+        refused = dict.fromkeys(("network", "view"), _refusal(error))
+    else:
+        ours, theirs = socket.socketpair()
+        if (hand := os.fork()) == 0:
+            ours.close()
+            _be_hand(theirs)
+        theirs.close()
+        said, descriptors, _, _ = socket.recv_fds(ours, 256, 1, socket.MSG_CMSG_CLOEXEC)
+        if descriptors:
+            given += [*descriptors, ours.detach()]
+        else:
+            refused["network"] = json.loads(said)
+        if (why := _tried(cwd)) is not None:
+            refused["view"] = why
+    socket.send_fds(kit, [json.dumps(refused).encode() + b"\n"], given)
+    for descriptor in (*given[:1], *given[2:]):
+        os.close(descriptor)
+    return (given[1] if len(given) > 1 else None), {hand}
+
+
+def _be_hand(asked: socket.socket) -> NoReturn:
+    """Make the network namespace and stay in it, as the hand by which the kit gets sockets there, until the kit lets go of it."""
+    try:
+        walls.enter_network()
+        descriptor = os.open("/proc/self/ns/net", os.O_RDONLY | os.O_CLOEXEC)
+        socket.send_fds(asked, [b"[]"], [descriptor])
+        os.close(descriptor)
+        walls.serve_sockets(asked)
+    except walls.RefusedError as error:
+        asked.sendall(json.dumps(_refusal(error)).encode())
+    finally:
+        os._exit(0)
+
+
+def _tried(cwd: str) -> Any:
+    """Try the walls of one adapter in this working directory; return what the machine refuses, or None."""
+    failed, fail = os.pipe()
+    if (trying := os.fork()) == 0:
+        try:
+            walls.unshare(walls.NEW_PROCESSES, "a process namespace")
+            if (first := os.fork()) == 0:
+                walls.enclose(reads=[], writes=[], sockets=[], layers=[cwd] if cwd != "/" else [], cwd=cwd)
+            else:
+                os.waitpid(first, 0)
+        except OSError as error:
+            os.write(fail, json.dumps(_refusal(error)).encode())
+        finally:
+            os._exit(0)
+    os.close(fail)
+    with open(failed, "rb") as file:
+        why = file.read()
+    os.waitpid(trying, 0)
+    return json.loads(why) if why else None
+
+
+def _keep(kit: socket.socket, parent: int, network: int | None, staying: set[int]) -> None:
     """Fork a watcher for each request, until the kit has ended or has closed the socket."""
-    _prctl(_SET_CHILD_SUBREAPER, 1)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # Ctrl-C is for the kit, which then ends adapters one by one.
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     watched: list[Any] = [kit, parent]
-    watchers: set[int] = set()
+    watchers = staying
     while True:
         ready, _, _ = select.select(watched, [], [])
         if parent in ready:
@@ -288,12 +442,12 @@ def _keep(kit: socket.socket, parent: int) -> None:
             # What an adapter leaves that has killed its own watcher has become the keeper's.
             _kill_descendants(besides=watchers)
         if len(descriptors) == 4:
-            watchers.add(_fork_watcher(kit, parent, descriptors))
+            watchers.add(_fork_watcher(kit, parent, descriptors, network))
         for descriptor in descriptors:
             os.close(descriptor)
 
 
-def _fork_watcher(kit: socket.socket, parent: int, descriptors: list[int]) -> int:
+def _fork_watcher(kit: socket.socket, parent: int, descriptors: list[int], network: int | None) -> int:
     """Fork the watcher of an adapter; return its number, 0 if there is none."""
     told = socket.socket(fileno=os.dup(descriptors[0]))
     number = 0
@@ -302,7 +456,7 @@ def _fork_watcher(kit: socket.socket, parent: int, descriptors: list[int]) -> in
             kit.close()
             os.close(parent)
             try:
-                _Watcher(told, descriptors[1:]).watch()
+                _Watcher(told, descriptors[1:], network).watch()
             finally:
                 _kill_descendants()
                 os._exit(0)
@@ -313,12 +467,27 @@ def _fork_watcher(kit: socket.socket, parent: int, descriptors: list[int]) -> in
 
 
 def main() -> None:
-    """Serve the kit, whose socket and process (pidfd_open(2)) are the two descriptors that the command line names."""
-    hide_memory()
+    """Serve the kit, whose socket and process (pidfd_open(2)) are the first two descriptors that the command line names.
+
+    A third word asks for walls: ``build`` for new ones, tried in the directory that follows, or descriptors of the user namespace, and the network namespace if
+    there is one, that an earlier keeper has built.
+    """
     # A fork copies what the collector touches.
     gc.disable()
     kit, parent = socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])
-    _keep(kit, parent)
+    network, staying = None, set[int]()
+    _prctl(_SET_CHILD_SUBREAPER, 1)
+    if sys.argv[3:4] == ["build"]:
+        network, staying = _build(kit, sys.argv[4])
+    elif sys.argv[3:]:
+        user, *others = map(int, sys.argv[3:])
+        walls.join(user, walls.NEW_USER)
+        os.close(user)
+        for network in others:
+            os.set_inheritable(network, False)
+    # Who hides its memory cannot say any more who it is in a user namespace.
+    hide_memory()
+    _keep(kit, parent, network, staying)
     _kill_descendants()
 
 

@@ -12,16 +12,19 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from ..core.errors import ExhaustedError, KitError
 from ..core.exhaustion import exhausted
 from . import keeper
 
-__all__ = ["Watcher"]
+__all__ = ["Enclosure", "Keeper", "Watcher"]
+
+_PROGRAM = f"import sys; sys.path.append({str(Path(__file__).parents[2])!r}); from {keeper.__name__} import main; sys.exit(main())"
+"""Python runs it isolated and without the site module: it needs nothing but the standard library and itself."""
 
 _WATCHED_S = 20.0
 """Seconds within which a killed process must be gone; one that waits for a disk cannot be killed."""
@@ -30,58 +33,114 @@ _OF_THE_COMMAND = (errno.ENOENT, errno.EACCES, errno.ENOEXEC, errno.ENOTDIR)
 """What the system says when the command is wrong; whatever else it says is about the kit's machine."""
 
 
-class _Keeper:
-    """The keeper of this process, which is started with the first adapter and ends with this process."""
+class Keeper:
+    """A keeper of this process, which is started with its first adapter and ends with this process.
 
-    _lock = threading.Lock()
-    _running: _Keeper | None = None
+    Args:
+        words: returns what follows on its command line, and the descriptors that are named there (see ``keeper``).
+    """
 
-    def __init__(self) -> None:
-        self._socket, theirs = socket.socketpair()
+    def __init__(self, words: Callable[[], tuple[Sequence[str], Sequence[int]]] = lambda: ((), ())) -> None:
+        self._words = words
+        self._lock = threading.Lock()
+        self._running: _Running | None = None
+
+    def start(self) -> socket.socket:
+        """Start it, if it does not run; return the socket on which it listens."""
+        running = self._running
+        if running is None or running.process.poll() is not None or running.owner != os.getpid():
+            running = self._running = _Running(*self._words())
+        return running.socket
+
+    def send(self, word: bytes, descriptors: Sequence[int] = ()) -> None:
+        """Hand it a word, as ``keeper`` describes them."""
+        with self._lock:
+            listening = self.start()
+            assert self._running is not None
+            # An adapter may have stopped it.
+            self._running.process.send_signal(signal.SIGCONT)
+            socket.send_fds(listening, [word], descriptors)
+
+    def close(self) -> None:
+        """End it, and with it all that it has started."""
+        with self._lock:
+            if self._running is not None:
+                self._running.close()
+                self._running = None
+
+    def replace(self) -> None:
+        """Start another one for the next adapter: this one did not fork a watcher, as when an adapter has taken its descriptors."""
+        with self._lock:
+            self._running = None
+
+
+class _Running:
+    """The process of a keeper."""
+
+    def __init__(self, words: Sequence[str], descriptors: Sequence[int]) -> None:
+        self.socket, theirs = socket.socketpair()
         own = os.pidfd_open(os.getpid())
         try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-I", "-S", keeper.__file__, str(theirs.fileno()), str(own)],
+            self.process = subprocess.Popen(
+                [sys.executable, "-I", "-S", "-c", _PROGRAM, str(theirs.fileno()), str(own), *words],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(), own),
+                pass_fds=(theirs.fileno(), own, *descriptors),
                 cwd="/",
                 start_new_session=True,
             )
         except BaseException:
-            self._socket.close()
+            self.socket.close()
             raise
         finally:
             theirs.close()
             os.close(own)
-        self._owner = os.getpid()
-        atexit.register(self._close)
+        self.owner = os.getpid()
+        atexit.register(self.close)
 
-    @classmethod
-    def send(cls, word: bytes, descriptors: Sequence[int] = ()) -> None:
-        with cls._lock:
-            if cls._running is None or cls._running._process.poll() is not None or cls._running._owner != os.getpid():
-                cls._running = cls()
-            # An adapter may have stopped it.
-            cls._running._process.send_signal(signal.SIGCONT)
-            socket.send_fds(cls._running._socket, [word], descriptors)
-
-    @classmethod
-    def replace(cls) -> None:
-        """Start another keeper for the next adapter: this one did not fork a watcher, as when an adapter has taken its descriptors."""
-        with cls._lock:
-            cls._running = None
-
-    def _close(self) -> None:
-        self._socket.close()
-        if self._owner == os.getpid():
-            self._process.send_signal(signal.SIGCONT)
+    def close(self) -> None:
+        """End it; nothing that it has started outlives it."""
+        atexit.unregister(self.close)
+        self.socket.close()
+        if self.owner == os.getpid():
+            self.process.send_signal(signal.SIGCONT)
             try:
-                self._process.wait(_WATCHED_S)
+                self.process.wait(_WATCHED_S)
             except subprocess.TimeoutExpired:
                 # Something stops it again and again. The watchers notice themselves that the kit has ended.
-                self._process.kill()
-                self._process.wait()
+                self.process.kill()
+                self.process.wait()
+
+
+_PLAIN = Keeper()
+"""The keeper of adapters without walls."""
+
+
+class Enclosure(Protocol):
+    """What is around an adapter: see :class:`~pytest_otmcp.session.isolation.Walls`."""
+
+    @property
+    def keeper(self) -> Keeper:
+        """Starts the adapter."""
+        ...
+
+    def request(self, command: Sequence[str], env: Mapping[str, str], cwd: str) -> dict[str, Any]:
+        """Return what the keeper is asked for."""
+        ...
+
+    def refused(self, why: Sequence[Any]) -> None:
+        """Take note that the machine refuses a view of the machine.
+
+        Raises:
+            UsageError: it is required.
+        """
+
+    def saw(self, request: Mapping[str, Any], namespaces: Mapping[str, int]) -> None:
+        """Make sure that the adapter that was started so is in the namespaces that it was to have.
+
+        Raises:
+            KitError: it is not.
+        """
 
 
 class Watcher:
@@ -89,15 +148,20 @@ class Watcher:
 
     Attributes:
         pid: number of the adapter's process.
-        root: number of the watcher's, from which everything descends that the adapter starts, and nothing else.
+        root: number of the process from which everything descends that the adapter starts, and nothing else.
+        number: that of the watcher's process.
         exited: set when the adapter's process has ended.
         empty: set when nothing of it is left.
         returncode: of the adapter, as in :mod:`subprocess`; None as long as it runs.
     """
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, pid: int, root: int) -> None:
-        self.pid = pid
-        self.root = root
+    def __init__(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, keeper: Keeper, numbers: Mapping[str, int]
+    ) -> None:
+        self.pid = numbers["pid"]
+        self.root = numbers["root"]
+        self.number = numbers["watcher"]
+        self._keeper = keeper
         self.exited = asyncio.Event()
         self.empty = asyncio.Event()
         self.returncode: int | None = None
@@ -108,7 +172,13 @@ class Watcher:
 
     @classmethod
     async def start(
-        cls, command: Sequence[str], *, env: Mapping[str, str], cwd: Path | None, streams: Sequence[int]
+        cls,
+        command: Sequence[str],
+        *,
+        env: Mapping[str, str],
+        cwd: Path | None,
+        streams: Sequence[int],
+        walls: Enclosure | None = None,
     ) -> Watcher:
         """Start an adapter with these file descriptors as its standard input, output and error.
 
@@ -116,10 +186,40 @@ class Watcher:
             OSError: the command cannot be executed.
             KitError: no process could be started, for a reason that is not the command's.
         """
+        used = _PLAIN if walls is None else walls.keeper
+        directory = os.getcwd() if cwd is None else str(cwd)
+        request: dict[str, Any] = {"command": list(command), "env": dict(env), "cwd": directory}
+        request |= {"network": False, "view": None} if walls is None else walls.request(command, env, directory)
+        reader, writer, event = await cls._ask(used, request, streams)
+        if walls is not None and "refused" in event:
+            walls.refused(event["refused"])
+            request["view"] = None
+            reader, writer, event = await cls._ask(used, request, streams)
+        if "refused" in event:
+            raise KitError(f"the adapter could not be started: the machine refuses {event['refused'][1]}")
+        if "failed" in event:
+            number = event["failed"]
+            if number in _OF_THE_COMMAND and "of" not in event:
+                raise OSError(number, os.strerror(number), command[0])
+            raise _not_started(OSError(number, os.strerror(number) if number else "the keeper has ended"))
+        watcher = cls(reader, writer, used, event)
+        if walls is not None:
+            try:
+                walls.saw(request, event["namespaces"])
+            except KitError:
+                await watcher.close()
+                raise
+        return watcher
+
+    @staticmethod
+    async def _ask(
+        used: Keeper, request: Mapping[str, Any], streams: Sequence[int]
+    ) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, dict[str, Any]]:
+        """Ask for an adapter; return the connection to its watcher and what that says first."""
         try:
             ours, theirs = socket.socketpair()
             try:
-                _Keeper.send(b"W", [theirs.fileno(), *streams])
+                used.send(b"W", [theirs.fileno(), *streams])
             except BaseException:
                 ours.close()
                 raise
@@ -130,26 +230,20 @@ class Watcher:
         except (OSError, RuntimeError) as error:
             raise _not_started(error) from error
         try:
-            directory = os.getcwd() if cwd is None else str(cwd)
-            request = {"command": list(command), "env": dict(env), "cwd": directory}
             writer.write(json.dumps(request).encode() + b"\n")
             try:
                 answer = await reader.readline()
             except ConnectionError:
                 answer = b""
             if not answer:
-                _Keeper.replace()
+                used.replace()
         except BaseException:
             writer.close()
             raise
-        event = json.loads(answer or '{"failed": 0}')
-        if "failed" in event:
+        event: dict[str, Any] = json.loads(answer or '{"failed": 0}')
+        if "pid" not in event:
             writer.close()
-            number = event["failed"]
-            if number in _OF_THE_COMMAND and "of" not in event:
-                raise OSError(number, os.strerror(number), command[0])
-            raise _not_started(OSError(number, os.strerror(number) if number else "the keeper has ended"))
-        return cls(reader, writer, event["pid"], event["watcher"])
+        return reader, writer, event
 
     async def _read(self) -> None:
         told = False
@@ -167,7 +261,7 @@ class Watcher:
         if not told:
             # Who kills the watcher has killed the adapter with it, but not what the adapter has started.
             with suppress(OSError):
-                _Keeper.send(b"S")
+                self._keeper.send(b"S")
         if self.returncode is None:
             self.returncode = -9
         self.exited.set()
@@ -196,7 +290,7 @@ class Watcher:
         # As long as its socket is open the number is no other process's.
         if not self._task.done():
             with suppress(ProcessLookupError):
-                os.kill(self.root, number)
+                os.kill(self.number, number)
 
     def _say(self, word: bytes) -> None:
         with suppress(ConnectionError):

@@ -19,6 +19,7 @@ from typing import cast
 
 from ..core.errors import ExhaustedError
 from ..core.exhaustion import exhausted
+from .isolation import Walls
 from .keeping import Watcher
 from .limits import MAX_FRAME_BYTES
 from .starvation import Patience, finish_within
@@ -174,6 +175,7 @@ class SubjectProcess:
         on_line: Callable[[int, bytes], None],
         on_overflow: Callable[[int], None],
         on_stderr: Callable[[bytes], None] = lambda data: None,
+        walls: Walls | None = None,
     ) -> SubjectProcess:
         """Start ``command`` in a session of its own, below a watcher.
 
@@ -184,6 +186,7 @@ class SubjectProcess:
             on_line: called with (monotonic ns, line without its newline) for every line on stdout.
             on_overflow: called once when a line on stdout exceeds :data:`~pytest_otmcp.session.limits.MAX_FRAME_BYTES`; reading ends then.
             on_stderr: called with whatever is read from stderr.
+            walls: around the process, or None for none.
 
         Raises:
             OSError: the command cannot be executed.
@@ -197,7 +200,8 @@ class SubjectProcess:
                 if (cure := exhausted(error)) is not None:
                     raise ExhaustedError(f"the adapter could not be started: {cure}") from error
                 raise
-            watcher = await Watcher.start(command, env=env, cwd=cwd, streams=[file.fileno() for file in theirs])
+            streams = [file.fileno() for file in theirs]
+            watcher = await Watcher.start(command, env=env, cwd=cwd, streams=streams, walls=walls)
             undo.push_async_callback(watcher.close)
             for file in theirs:
                 file.close()
@@ -214,7 +218,7 @@ class SubjectProcess:
     @property
     def pids(self) -> tuple[int, int]:
         """The process that the command has started, and its watcher."""
-        return self._watcher.pid, self._watcher.root
+        return self._watcher.pid, self._watcher.number
 
     @property
     def returncode(self) -> int | None:

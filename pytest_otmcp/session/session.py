@@ -32,6 +32,7 @@ from .exchange import CANCELLED, CONTENT_TOO_LARGE, Exchange
 from .footprint import command_lines, footprint
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
+from .isolation import Walls
 from .limits import TOO_LARGE, Allowance
 from .output_schema import OutputCheck
 from .pace import Pace
@@ -57,6 +58,7 @@ class SessionOptions:
         allowance: the room for its answers to calls.
         secrets: what the adapter must not tell.
         work: the adapter's working folder; empty where it has none. Sentences call it ``{work}``, as a subject file does.
+        walls: around the adapter, or None for none.
     """
 
     era: str = "auto"
@@ -67,6 +69,7 @@ class SessionOptions:
     allowance: Allowance = field(default_factory=Allowance)
     secrets: SecretSearch = field(default_factory=SecretSearch)
     work: str = ""
+    walls: Walls | None = None
 
 
 class McpSession:
@@ -85,9 +88,11 @@ class McpSession:
         self._transport: StdioTransport | HttpTransport
         env = subject_environment(env)
         if options.url is None:
-            self._transport = StdioTransport(command, env, cwd, self._recorder, options.exit_grace_s)
+            self._transport = StdioTransport(command, env, cwd, self._recorder, options.exit_grace_s, options.walls)
         else:
-            self._transport = HttpTransport(command, env, cwd, options.url, self._recorder, options.exit_grace_s)
+            self._transport = HttpTransport(
+                command, env, cwd, options.url, self._recorder, options.exit_grace_s, options.walls
+            )
         self._client: Client | None = None
         self._owner: asyncio.Task[None] | None = None
         self._closing = asyncio.Event()
@@ -387,6 +392,12 @@ class McpSession:
         """Number of the process from which everything descends that the subject starts; None as long as there is none."""
         process = self._transport.process
         return None if process is None else process.root
+
+    @property
+    def process_pid(self) -> int | None:
+        """Number of the subject's own process; None as long as there is none."""
+        process = self._transport.process
+        return None if process is None else process.pids[0]
 
     @property
     def died(self) -> bool:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
     from mcp.client._transport import TransportStreams
 
+    from .isolation import Walls
+
 __all__ = ["StdioTransport"]
 
 _PASSED_ON = 5
@@ -42,6 +44,7 @@ class StdioTransport:
         cwd: Path | None,
         recorder: FrameRecorder,
         exit_grace_s: float,
+        walls: Walls | None = None,
     ) -> None:
         self.process: SubjectProcess | None = None
         self.stop_report: StopReport | None = None
@@ -50,6 +53,7 @@ class StdioTransport:
         self._cwd = cwd
         self._recorder = recorder
         self._exit_grace_s = exit_grace_s
+        self._walls = walls
         self._incoming: asyncio.Queue[tuple[int, SessionMessage | Exception] | None] = asyncio.Queue()
         self._waiting_bytes = 0
 
@@ -85,6 +89,7 @@ class StdioTransport:
             on_line=self._receive_line,
             on_overflow=self._end_at_overflow,
             on_stderr=self._recorder.secrets.stream(STDERR),
+            walls=self._walls,
         )
         to_client, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](0)
         from_client, to_server = anyio.create_memory_object_stream[SessionMessage](16)

@@ -14,11 +14,13 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from typing import Any
 
 from ..core.errors import ExhaustedError, KitError
 from ..plant.devices import Plant
 from ..session.loop import LoopThread
+from ..session.walls import RefusedError, enter_network, enter_user
 from .defect import defect
 from .judging import judge
 from .warm_start import WarmStart
@@ -32,6 +34,10 @@ def main() -> None:
     """Judge until standard input ends."""
     # A shell may have it ignored, and this process inherits that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    with suppress(RefusedError):
+        # The adapters are the kit's own, and start by the thousand: they share the walls of this process, which are those of the network.
+        enter_user()
+        enter_network()
     # What else is printed must not be taken for an answer.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)

@@ -103,6 +103,33 @@ _CALL_LIMIT = Named(
         }
     ),
 )
+_ISOLATION = Named(
+    "isolation",
+    Table(
+        {
+            "network": Key(
+                OneOf(("own", "host")),
+                "'host' for an adapter that needs more of the network than its device, with the 'reason'.",
+                default="own",
+            ),
+            "reason": Key(REASON, "Why it needs the network of the machine."),
+            "read": Key(
+                strings("paths"), "Devices, and paths below /tmp, /var/tmp and /run, that it may read.", default=[]
+            ),
+            "write": Key(strings("paths"), "Files and folders that it may change for good.", default=[]),
+        },
+        rules=(
+            Rule(
+                holds=lambda table: table.get("network") != "host" or "reason" in table,
+                objection="network = 'host' needs a 'reason', which reports and certificates show",
+                described={
+                    "if": {"properties": {"network": {"const": "host"}}, "required": ["network"]},
+                    "then": {"required": ["reason"]},
+                },
+            ),
+        ),
+    ),
+)
 _ANSWER = Named("answer", OneOf(("envelope", "structured", "json", "text", "texts")))
 _OUTCOME_RULE = Table(
     {
@@ -239,6 +266,7 @@ def adapter_table(protocol: OtProtocol) -> Table:
                 "Environment variables that take a secret: each session gets a random value in them, which the adapter must not tell.",
                 default=[],
             ),
+            "isolation": Key(_ISOLATION, "What the walls around the adapter leave open to it.", default={}),
             "transport": Key(OneOf(("stdio", "http")), "How the adapter is spoken to.", default="stdio"),
             "url": Key(TEXT, 'The MCP endpoint, for transport = "http".'),
             "era": Key(

@@ -406,6 +406,20 @@ class Variant:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Openings:
+    """What the walls around an adapter leave open to it.
+
+    Attributes:
+        why_outside: why it needs the network of the machine; empty where it does not.
+        reads, writes: paths.
+    """
+
+    why_outside: str = ""
+    reads: tuple[Path, ...] = ()
+    writes: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CallLimit:
     """The most tool calls that an adapter takes within a time; it refuses what is more.
 
@@ -447,6 +461,7 @@ class Adapter:
         era: MCP protocol era of the adapter's sessions, or None for that of the run.
         deadline_s: the time within which every call must have answered.
         start_timeout_s: the time within which the adapter must have finished its handshake.
+        openings: in the walls around the adapter.
     """
 
     protocol: str
@@ -471,6 +486,7 @@ class Adapter:
     bounds: Bounds | None = None
     times: Times | None = None
     ready: Ready | None = None
+    openings: Openings = field(default_factory=Openings)
 
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""

@@ -31,6 +31,7 @@ from ..record.schema import Device as DeviceFacts
 from ..session.canary import CANARY_VARIABLE, Leak, SecretSearch, new_canary
 from ..session.exchange import Exchange, joined
 from ..session.footprint import footprint
+from ..session.isolation import Walls
 from ..session.limits import Allowance
 from ..session.pace import Pace
 from ..session.process import StopReport
@@ -258,8 +259,8 @@ class AdapterUnderTest:
             "kit_version": __version__,
             "dir": str(self.adapter.directory),
             "work": self._work.name,
-            "http_port": str(_free_port(socket.SOCK_STREAM)) if self.adapter.url is not None else "",
-            "local_port": str(_free_port(socket.SOCK_DGRAM)),
+            "http_port": str(self._free_port(socket.SOCK_STREAM)) if self.adapter.url is not None else "",
+            "local_port": str(self._free_port(socket.SOCK_DGRAM)),
         }
         launch = self.adapter.variants[self.variant].for_endpoint(values)
         canaries = {name: new_canary() for name in (CANARY_VARIABLE, *self.adapter.secret_env)}
@@ -280,6 +281,7 @@ class AdapterUnderTest:
             secrets=search,
             work=self._work.name,
             url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
+            walls=self._walls(),
         )
         self._token = new_token()
         env = {**canaries, **launch.env, **self._garbled, TOKEN_VARIABLE: self._token}
@@ -287,6 +289,23 @@ class AdapterUnderTest:
         self._searches = [*(one for one in self._searches if one.leaks), search]
         self.device.sessions.begin(self._token, lambda: session.pid)
         return session
+
+    def _walls(self) -> Walls | None:
+        if self.device.walls is None or self._work is None:
+            return None
+        lines = [endpoint.path for endpoint in self.device.endpoints.values() if endpoint.kind == "pty"]
+        return self.device.walls.open_to(
+            reads=(*lines, *map(str, self.adapter.openings.reads)),
+            writes=(self._work.name, *map(str, self.adapter.openings.writes)),
+        )
+
+    def _free_port(self, kind: socket.SocketKind) -> int:
+        # A server has to be told its port before it exists. On loopback another program takes that port meanwhile only by chance.
+        walls = self.device.walls
+        with socket.socket(type=kind) if walls is None else walls.socket(kind) as probe:
+            probe.bind(("127.0.0.1", 0))
+            port: int = probe.getsockname()[1]
+            return port
 
     async def footprint(self) -> Footprint:
         """Return what the processes of the session take of the machine."""
@@ -318,8 +337,8 @@ class AdapterUnderTest:
             folders.add(Path(self._work.name))
         if self.session is not None and self.session.pid is not None:
             with suppress(OSError):
-                # An adapter may have gone to a folder of its own.
-                folders.add(Path(f"/proc/{self.session.pid}/cwd").readlink())
+                # An adapter may have gone to a folder of its own, and what it writes in this one may lie where only it can see it.
+                folders.add(Path(f"/proc/{self.session.process_pid}/cwd"))
         found = False
         for file in (folder / name for folder in folders):
             with suppress(OSError):
@@ -775,11 +794,3 @@ class _Tools:
             raise _NoAnswerError from None
         structured, text, is_error = read_answer(message, "structured")
         return ToolAnswer(text=text, structured=structured, is_error=is_error)
-
-
-def _free_port(kind: socket.SocketKind) -> int:
-    # A server has to be told its port before it exists. On loopback another program takes that port meanwhile only by chance.
-    with socket.socket(type=kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -1,4 +1,7 @@
-"""``otmcp init``, ``otmcp doctor``, fixtures and ``otmcp certify`` write to the mock device and nowhere else."""
+"""``otmcp init``, ``otmcp doctor``, fixtures and ``otmcp certify`` write to the mock device and nowhere else, also where there are no walls.
+
+Behind walls (docs/isolation.md) an adapter that wanders reaches nothing, which tests/plugin/test_walls.py shows.
+"""
 
 from __future__ import annotations
 
@@ -160,7 +163,7 @@ def test_init_writes_nothing_and_says_where_the_adapter_was(
     for name, content in files(protocol).items():
         variables += ["--file", f"{name}={content}"]
     command = ("--", *warm_start.python, str(WANDERING), protocol, "misspelt")
-    done = otmcp("init", "--protocol", protocol, *variables, *command)
+    done = otmcp("init", "--isolation=off", "--protocol", protocol, *variables, *command)
     assert done.returncode == 1, done.stdout + done.stderr
     assert "no proposal: the adapter does not talk to the mock device at " in done.stderr
     assert "Nothing was written." in done.stderr
@@ -173,7 +176,7 @@ def test_the_doctor_names_the_variable_to_look_at(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
 ) -> None:
     (tmp_path / "otmcp.toml").write_text(subject(warm_start, protocol, elsewhere), encoding="utf-8")
-    done = otmcp("doctor")
+    done = otmcp("doctor", "--isolation=off")
     assert done.returncode == 1, done.stdout + done.stderr
     assert "rw: the adapter does not talk to the mock device at " in done.stdout
     assert f"it names {protocols()[protocol].scheme}://{elsewhere.address}" in done.stdout
@@ -212,7 +215,7 @@ def test_certify_does_not_write_elsewhere(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
 ) -> None:
     (tmp_path / "otmcp.toml").write_text(subject(warm_start, protocol, elsewhere), encoding="utf-8")
-    done = otmcp("certify")
+    done = otmcp("certify", "--isolation=off")
     assert done.returncode == 1, done.stdout + done.stderr
     assert not (tmp_path / "certificate.json").exists()
     assert elsewhere.touched

@@ -93,7 +93,7 @@ async def test_a_process_that_the_system_refuses_is_no_fault_of_the_adapter(
         raise THREADLESS if number is None else OSError(number, os.strerror(number))
 
     monkeypatch.setattr(keeping.subprocess, "Popen", refuse)
-    monkeypatch.setattr(keeping._Keeper, "_running", None)
+    monkeypatch.setattr(keeping, "_PLAIN", keeping.Keeper())
     with pytest.raises(KitError) as refused:
         await session("adapter").open()
     assert isinstance(refused.value, ExhaustedError) == (number not in (errno.EIO, errno.E2BIG))

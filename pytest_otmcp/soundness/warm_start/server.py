@@ -12,6 +12,7 @@ import runpy
 import selectors
 import signal
 import socket
+import struct
 import sys
 import threading
 import traceback
@@ -47,20 +48,22 @@ class Request:
         directory: the working directory.
         environment: the whole environment.
         streams: standard input, output and error.
+        namespaces: user, network, mount, IPC, name and process namespace of whoever asks.
     """
 
     arguments: list[str]
     directory: str
     environment: dict[str, str]
     streams: list[int]
+    namespaces: list[int]
 
     @classmethod
     def read(cls, asked: socket.socket) -> Request:
         """Read a request; it is one line."""
-        line, streams, _, _ = socket.recv_fds(asked, 65536, 3)
+        line, given, _, _ = socket.recv_fds(asked, 65536, 9)
         while not line.endswith(b"\n"):
             line += asked.recv(65536)
-        return cls(**json.loads(line), streams=streams)
+        return cls(**json.loads(line), streams=given[:3], namespaces=given[3:])
 
 
 class Server:
@@ -100,8 +103,8 @@ class Server:
         os.setpgid(process, process)
         if process == 0:
             return request
-        for stream in request.streams:
-            os.close(stream)
+        for descriptor in (*request.streams, *request.namespaces):
+            os.close(descriptor)
         adapter = Adapter(process=process, handle=os.pidfd_open(process), asked=asked)
         self._selector.register(adapter.handle, selectors.EVENT_READ, adapter)
         self._selector.register(adapter.asked, selectors.EVENT_READ, adapter)
@@ -132,6 +135,7 @@ def become(request: Request) -> NoReturn:
     """Run the requested program in the process that was forked for it, and end this process."""
     code: Any = 1
     try:
+        move(request.namespaces)
         run(request)
         code = 0
     except SystemExit as end:
@@ -147,6 +151,30 @@ def become(request: Request) -> NoReturn:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code or 0)
+
+
+def move(namespaces: list[int]) -> None:
+    """Go where the process is that has asked, without privileges there; this one stays above, waits for the end and has its exit code."""
+    kinds = ("user", "net", "mnt", "ipc", "uts", "pid")
+    others = [
+        descriptor
+        for kind, descriptor in zip(kinds, namespaces, strict=True)
+        if os.fstat(descriptor).st_ino != os.stat(f"/proc/self/ns/{kind}").st_ino
+    ]
+    if not others:
+        return
+    libc = ctypes.CDLL(None, use_errno=True)
+    for descriptor in others:
+        if libc.setns(descriptor, 0) != 0:
+            raise OSError(ctypes.get_errno(), "the walls of the adapter cannot be entered")
+    if (process := os.fork()) != 0:
+        _, status = os.waitpid(process, 0)
+        code = os.waitstatus_to_exitcode(status)
+        os._exit(code if code >= 0 else 128 - code)
+    # prctl(2), PR_SET_PDEATHSIG and PR_SET_NO_NEW_PRIVS; capset(2), of which version 3 has two words for each of three sets.
+    libc.prctl(1, signal.SIGKILL)
+    libc.prctl(38, 1, 0, 0, 0)
+    libc.capset(struct.pack("=Ii", 0x20080522, 0), bytes(24))
 
 
 def run(request: Request) -> None:

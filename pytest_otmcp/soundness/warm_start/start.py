@@ -1,6 +1,6 @@
 """``python start.py SOCKET [-P] (FILE | -m MODULE) ARGUMENT...``: the server at SOCKET runs what ``python`` would.
 
-This process has the forked one's exit code, or 128 and the number of the signal that ended it, as in a shell. When this
+The forked process enters the namespaces of this one, in whose walls the kit has put it. This process has the forked one's exit code, or 128 and the number of the signal that ended it, as in a shell. When this
 process is killed, the server kills the forked one.
 """
 
@@ -17,9 +17,10 @@ def main() -> None:
     path, *arguments = sys.argv[1:]
     request = {"arguments": arguments, "directory": os.getcwd(), "environment": dict(os.environ)}
     line = json.dumps(request).encode() + b"\n"
+    namespaces = [os.open(f"/proc/self/ns/{kind}", os.O_RDONLY) for kind in ("user", "net", "mnt", "ipc", "uts", "pid")]
     with socket.socket(socket.AF_UNIX) as server:
         server.connect(path)
-        sent = socket.send_fds(server, [line], [0, 1, 2])
+        sent = socket.send_fds(server, [line], [0, 1, 2, *namespaces])
         server.sendall(line[sent:])
         # The reader of a stream sees its end when the forked process closes it, not later.
         for stream in range(3):

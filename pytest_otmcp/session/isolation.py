@@ -1,0 +1,276 @@
+"""The isolation of the adapters that this process starts: which walls the machine allows, and which the kit saw stand.
+
+The walls are built by the keeper (``keeper``, ``walls``). The kit itself stays outside, and so does whoever else lives in its process: a
+user's own tests, other plugins. It speaks to its mock devices by Unix sockets, to adapters by pipes, and to those that serve HTTP by
+sockets that were made inside.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import socket
+import stat
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import KitError, UsageError
+from ..core.text import one_line
+from ..core.walls import AUTO, NETWORK, OFF, REQUIRE, WALLS, Wall
+from .keeping import Keeper
+
+__all__ = ["Isolation", "Walls"]
+
+_OF_A_VIEW = tuple(wall for wall in WALLS if wall != NETWORK)
+_ANSWER_BYTES = 4096
+_PATIENCE_S = 60.0
+"""A file system that does not answer must not hold up more than the walls."""
+
+_REMEDIES = (
+    (
+        "kernel/apparmor_restrict_unprivileged_userns",
+        "1",
+        "`sudo sysctl kernel.apparmor_restrict_unprivileged_userns=0` allows it",
+    ),
+    ("kernel/unprivileged_userns_clone", "0", "`sudo sysctl kernel.unprivileged_userns_clone=1` allows it"),
+    ("user/max_user_namespaces", "0", "`sudo sysctl user.max_user_namespaces=10000` allows it"),
+)
+"""Settings below ``/proc/sys``, the value by which each forbids namespaces, and what can be done."""
+
+
+class Isolation:
+    """The walls of all adapters that this process starts.
+
+    Args:
+        mode: one of :data:`~pytest_otmcp.core.walls.MODES`.
+
+    Attributes:
+        keeper: starts adapters with walls.
+
+    Raises:
+        UsageError: walls are required, and the machine refuses one.
+    """
+
+    def __init__(self, mode: str = AUTO) -> None:
+        self._mode = mode
+        self._missing: dict[Wall, dict[str, None]] = {wall: {} for wall in WALLS}
+        self._descriptors: list[int] = []
+        self._view = self._used = False
+        self._hand: socket.socket | None = None
+        self.keeper = Keeper(self._words)
+        if mode == OFF:
+            self._miss(WALLS, "they were switched off")
+        else:
+            self._build()
+
+    @property
+    def _network(self) -> int | None:
+        return self._descriptors[1] if len(self._descriptors) > 1 else None
+
+    def _words(self) -> tuple[Sequence[str], Sequence[int]]:
+        if not self._descriptors:
+            return ("build", os.getcwd()), ()
+        return [str(number) for number in self._descriptors], self._descriptors
+
+    def _build(self) -> None:
+        try:
+            listening = self.keeper.start()
+            listening.settimeout(_PATIENCE_S)
+            said, given, _, _ = socket.recv_fds(listening, _ANSWER_BYTES, 3, socket.MSG_CMSG_CLOEXEC)
+            listening.settimeout(None)
+            refused = json.loads(said)
+        except (OSError, ValueError) as error:
+            given, refused = [], dict.fromkeys(("network", "view"), (0, f"the process that builds them ({error})"))
+        self._descriptors = list(given[:2])
+        if len(given) > 2:
+            self._hand = socket.socket(fileno=given[2])
+        self._view = "view" not in refused
+        for wall in refused:
+            if wall == "view" or not _alone():
+                self.refused(wall, refused[wall])
+
+    def refused(self, wall: str, why: Sequence[Any]) -> None:
+        """Note that the machine refuses the network of its own, or the view of the machine (``view``).
+
+        Raises:
+            UsageError: the wall is required.
+        """
+        number, step = why
+        told = f" ({os.strerror(number)})" if number else ""
+        sentence = f"this machine refuses {step}{told}; {_remedy()}"
+        if self._mode == REQUIRE:
+            raise UsageError(one_line(f"isolation is required, and {sentence}"))
+        self._miss((NETWORK,) if wall == "network" else _OF_A_VIEW, sentence)
+
+    def _miss(self, walls: Iterable[Wall], sentence: str) -> None:
+        for wall in walls:
+            self._missing[wall][sentence] = None
+
+    def walls(self, *, outside: str = "") -> Walls | None:
+        """Return the walls around a device's adapters; None where there are none.
+
+        Args:
+            outside: why these need the network of the machine; empty where they do not.
+        """
+        self._used = True
+        if outside and self._network is not None:
+            self._miss((NETWORK,), outside)
+        network = self._network is not None and not outside
+        return Walls(isolation=self, network=network) if network or self._view else None
+
+    def account(self) -> dict[Wall, str | None]:
+        """Return for each wall None, if it stood around every adapter, or why it did not; nothing before the first adapter."""
+        return {wall: "; ".join(why) or None for wall, why in self._missing.items()} if self._used else {}
+
+    def close(self) -> None:
+        """Give the namespaces up; they end with the processes in them."""
+        self.keeper.close()
+        if self._hand is not None:
+            self._hand.close()
+        for descriptor in self._descriptors:
+            os.close(descriptor)
+        self._descriptors = []
+
+    # -- for walls ----------------------------------------------------------------------------------------------------
+
+    def namespaces(self) -> tuple[int, int]:
+        """Return descriptors of the user namespace and the network namespace."""
+        user, network = self._descriptors
+        return user, network
+
+    def socket(self, kind: int, family: int = socket.AF_INET) -> socket.socket:
+        """Return a new socket in the network of the run.
+
+        Raises:
+            OSError: none can be made.
+        """
+        assert self._hand is not None
+        self._hand.sendall(bytes([family, kind]))
+        said, given, _, _ = socket.recv_fds(self._hand, 1, 1, socket.MSG_CMSG_CLOEXEC)
+        if not given:
+            number = said[0] if said else 0
+            raise OSError(number, os.strerror(number) if number else "the process that makes sockets has ended")
+        return socket.socket(fileno=given[0])
+
+    def view(self, reads: Iterable[str], writes: Sequence[str]) -> dict[str, list[str]] | None:
+        """Return the request for a view of the machine; None where the machine refuses it."""
+        if not self._view or self._missing[_OF_A_VIEW[0]]:
+            return None
+        written = {os.path.realpath(path) for path in writes}
+        read = {os.path.realpath(path) for path in reads if os.path.exists(path)}
+        return {"reads": sorted(read - written), "writes": sorted(written)}
+
+    def saw(self, namespaces: Mapping[str, int], *, network: bool, view: bool) -> None:
+        """Compare the namespaces of an adapter's process with those that it should have.
+
+        Raises:
+            KitError: a wall is not there.
+        """
+        own = {kind: os.stat(f"/proc/self/ns/{kind}").st_ino for kind in namespaces}
+        wanted = {"net": network and self._network is not None, "pid": view, "mnt": view}
+        missing = [kind for kind, wall in wanted.items() if wall and namespaces[kind] == own[kind]]
+        if network and self._network is not None and namespaces["net"] != os.fstat(self._network).st_ino:
+            missing.append("net")
+        if missing:
+            raise KitError(f"the adapter was started without a wall that it should have: {', '.join(missing)}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Walls:
+    """The walls around one adapter, or around all of a device's.
+
+    Attributes:
+        isolation: has built them.
+        network: the device and its adapters have the network of the run, and no other.
+        reads, writes: paths that are open to the adapter, beside what it needs to start.
+    """
+
+    isolation: Isolation
+    network: bool
+    reads: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+
+    @property
+    def keeper(self) -> Keeper:
+        """Starts the adapter."""
+        return self.isolation.keeper
+
+    def refused(self, why: Sequence[Any]) -> None:
+        """See :meth:`Isolation.refused`, of the view."""
+        self.isolation.refused("view", why)
+
+    def open_to(self, *, reads: Iterable[str], writes: Iterable[str]) -> Walls:
+        """Return the walls with these paths left open."""
+        return replace(self, reads=tuple(reads), writes=tuple(writes))
+
+    def socket(self, kind: int, family: int = socket.AF_INET) -> socket.socket:
+        """Return a new socket in the network in which the device and its adapters are.
+
+        Raises:
+            OSError: none can be made.
+        """
+        return self.isolation.socket(kind, family) if self.network else socket.socket(family, kind)
+
+    def request(self, command: Sequence[str], env: Mapping[str, str], cwd: str) -> dict[str, Any]:
+        """Return what the keeper is asked for: see ``keeper``."""
+        folders = {os.path.realpath(path) for path in (cwd, env.get("HOME", "")) if os.path.isdir(path)}
+        # Who starts an adapter with a path that leads to a socket means it.
+        meant = {word for word in command if word.startswith("/") and _is_socket(word)}
+        view = self.isolation.view({*self.reads, *meant, *_needed(command, env, cwd)}, self.writes)
+        if view is not None:
+            view["layers"] = sorted(folders - {"/"})
+        return {"network": self.network, "view": view}
+
+    def saw(self, request: Mapping[str, Any], namespaces: Mapping[str, int]) -> None:
+        """Make sure that the adapter that was started so is in the namespaces that it was to have.
+
+        Raises:
+            KitError: it is not.
+        """
+        self.isolation.saw(namespaces, network=self.network, view=request["view"] is not None)
+
+
+def _needed(command: Sequence[str], env: Mapping[str, str], cwd: str) -> Iterator[str]:
+    """Return the paths in folders that are the adapter's own which must be there nevertheless: its programs, and what its command names."""
+    words = [word for text in (*command, *env.values()) for word in re.split("[=:,]", text)]
+    program = shutil.which(command[0], path=env.get("PATH")) or command[0]
+    own = sorted({*_FOLDERS, os.environ.get("TMPDIR", _FOLDERS[0])}, key=len, reverse=True)
+    for word in (*words, program, cwd, sys.prefix, sys.base_prefix, str(_KIT)):
+        for path in {word, os.path.realpath(word)} if word.startswith("/") else ():
+            folder = next((folder for folder in own if path.startswith(f"{folder}/")), None)
+            if folder is not None:
+                # A program needs what lies beside it, as an environment of Python's does.
+                yield os.path.join(folder, path[len(folder) + 1 :].split("/")[0])
+            elif path.startswith(_EXACT):
+                yield path
+
+
+_FOLDERS = ("/tmp", "/var/tmp")  # noqa: S108
+_EXACT = ("/run/", "/dev/")
+_KIT = Path(__file__).parents[2]
+
+
+def _is_socket(path: str) -> bool:
+    try:
+        return stat.S_ISSOCK(os.stat(path).st_mode)
+    except OSError:
+        return False
+
+
+def _alone() -> bool:
+    """Tell whether this process's own network is nothing but loopback, as in a container that was started without one."""
+    return [name for _, name in socket.if_nameindex()] == ["lo"]
+
+
+def _remedy() -> str:
+    for name, value, remedy in _REMEDIES:
+        with suppress(OSError):
+            if Path("/proc/sys", name).read_text(encoding="ascii").strip() == value:
+                return remedy
+    return "a container without a network has such walls of its own: `podman run --network none`"

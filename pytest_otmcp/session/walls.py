@@ -1,0 +1,289 @@
+"""The walls around an adapter, made of the kernel's namespaces (namespaces(7)) with what the system calls alone offer.
+
+The standard library alone is imported here: the keeper (``keeper``) runs this, and a process that is to be walled in for the rest of its
+life must not have a second thread. Nothing needs a privilege: a user namespace gives the one that is needed inside it
+(user_namespaces(7)), and an adapter is started without it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import os
+import socket
+import stat
+import struct
+from collections.abc import Iterator, Sequence
+
+__all__ = [
+    "NEW_NETWORK",
+    "NEW_PROCESSES",
+    "NEW_USER",
+    "RefusedError",
+    "enclose",
+    "enter_network",
+    "enter_user",
+    "give_up_privileges",
+    "join",
+    "serve_sockets",
+    "socket_paths",
+    "unshare",
+]
+
+NEW_USER, NEW_PROCESSES, NEW_NETWORK = 0x10000000, 0x20000000, 0x40000000
+_NEW_MOUNTS, _NEW_NAME, _NEW_IPC = 0x00020000, 0x04000000, 0x08000000
+
+# mount(2), umount2(2), open_tree(2), move_mount(2), mount_setattr(2): the numbers of the last three are the same on every architecture
+# of Linux but alpha.
+_NOSUID, _NODEV, _NOEXEC, _BIND, _RECURSIVE, _PRIVATE, _DETACH = 0x2, 0x4, 0x8, 0x1000, 0x4000, 0x40000, 0x2
+_OPEN_TREE, _MOVE_MOUNT, _MOUNT_SETATTR = 428, 429, 442
+_AT_FDCWD, _AT_RECURSIVE, _AT_EMPTY_PATH, _FROM_EMPTY_PATH = -100, 0x8000, 0x1000, 0x4
+_CLONE, _CLOEXEC = 0x1, os.O_CLOEXEC
+_READ_ONLY, _NO_SETUID = 0x1, 0x2
+
+_NO_NEW_PRIVS, _DROP_FROM_BOUNDS = 38, 24
+_GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 0x1
+
+_TEMPORARY = ("/tmp", "/var/tmp", "/run")  # noqa: S108
+_NODES = ("null", "zero", "full", "random", "urandom", "tty")
+_LINKS = {"fd": "/proc/self/fd", "stdin": "/proc/self/fd/0", "stdout": "/proc/self/fd/1", "stderr": "/proc/self/fd/2"}
+_SETTINGS = ("sys", "sysrq-trigger", "irq", "bus", "fs", "acpi", "scsi")
+"""Parts of ``/proc`` that a process of root's may write to without any privilege."""
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class RefusedError(OSError):
+    """The machine refuses a wall.
+
+    Attributes:
+        step: what was refused.
+    """
+
+    def __init__(self, number: int, step: str) -> None:
+        super().__init__(number, os.strerror(number), step)
+        self.step = step
+
+
+def _call(step: str, function: str, *arguments: object) -> int:
+    """Call a function of the C library.
+
+    Raises:
+        RefusedError: it failed.
+    """
+    result: int = getattr(_libc, function)(*arguments)
+    if result < 0:
+        raise RefusedError(ctypes.get_errno(), step)
+    return result
+
+
+def unshare(flags: int, step: str) -> None:
+    """Leave a namespace for a new one; of processes, the next child does.
+
+    Raises:
+        RefusedError: the machine refuses ``step``.
+    """
+    _call(step, "unshare", flags)
+
+
+def join(namespace: int, kind: int) -> None:
+    """Enter a namespace that a descriptor stands for.
+
+    Raises:
+        RefusedError: this process may not.
+    """
+    _call("entering a namespace", "setns", namespace, kind)
+
+
+# -- user and network -----------------------------------------------------------------------------------------------
+
+
+def enter_user() -> None:
+    """Enter a user namespace of one's own, as who one is. This process must have one thread.
+
+    Raises:
+        RefusedError: the machine does not let this user have one.
+    """
+    user, group = os.geteuid(), os.getegid()
+    unshare(NEW_USER, "a user namespace")
+    for name, line in (("setgroups", "deny"), ("uid_map", f"{user} {user} 1"), ("gid_map", f"{group} {group} 1")):
+        try:
+            with open(f"/proc/self/{name}", "w", encoding="ascii") as file:
+                file.write(line)
+        except OSError as error:
+            raise RefusedError(error.errno or 0, "a user namespace") from None
+
+
+def enter_network() -> None:
+    """Enter a network namespace of one's own, in which there is loopback and nothing else.
+
+    Raises:
+        RefusedError: the machine refuses.
+    """
+    unshare(NEW_NETWORK, "a network namespace")
+    request = struct.Struct("16sh14x")
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+            answer = fcntl.ioctl(any_socket, _GET_FLAGS, request.pack(b"lo", 0))
+            fcntl.ioctl(any_socket, _SET_FLAGS, request.pack(b"lo", request.unpack(answer)[1] | _UP))
+    except OSError as error:
+        raise RefusedError(error.errno or 0, "loopback in a network namespace") from None
+
+
+def serve_sockets(asked: socket.socket) -> None:
+    """Make sockets of this process's network for another process: it sends address family and type, a byte each, and is sent the socket."""
+    while wanted := asked.recv(2, socket.MSG_WAITALL):
+        try:
+            with socket.socket(*wanted) as made:
+                socket.send_fds(asked, [b"\0"], [made.fileno()])
+        except OSError as error:
+            asked.sendall(bytes([error.errno or 255]))
+
+
+# -- processes and files --------------------------------------------------------------------------------------------
+
+
+def enclose(
+    *, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str], sockets: Sequence[str], cwd: str
+) -> None:
+    """Give this process, the first of a new namespace of processes, a view of the machine of its own.
+
+    Files are read-only. ``/tmp`` and its like, ``/run`` and ``/dev`` are its own and all but empty.
+
+    Args:
+        reads: paths that can be read although they lie in a folder that is its own; devices among them can be used.
+        writes: paths that are written to for good.
+        layers: folders in which what is written lies above what is there, and ends with the processes.
+        sockets: paths of Unix sockets that cannot be reached, but for those that are read or written.
+        cwd: its working directory.
+
+    Raises:
+        RefusedError: the machine refuses a step.
+    """
+    unshare(_NEW_MOUNTS | _NEW_IPC | _NEW_NAME, "a mount namespace")
+    _mount("none", "/", "", _RECURSIVE | _PRIVATE)
+    nodes = {f"/dev/{name}": _held(f"/dev/{name}") for name in _NODES}
+    seen = {path: _held(path) for path in dict.fromkeys((*reads, *writes, *layers))}
+    # The machine lets this be done as long as nothing covers a part of its own /proc.
+    _mount("proc", "/proc", "proc", _NOSUID | _NODEV | _NOEXEC)
+    _set_flags("/", _READ_ONLY | _NO_SETUID)
+    _set_flags("/proc", 0, cleared=_READ_ONLY, recursive=False)
+    if os.geteuid() == 0:
+        _cover_settings()
+    own = [*_own_folders()]
+    for path in sorted(seen, key=lambda one: one.count("/")):
+        if path not in writes:
+            _set_flags("", _READ_ONLY | _NO_SETUID, at=seen[path])
+        if path in writes or any(_is_below(path, folder) for folder in (*own, *layers)):
+            _place(seen[path], path)
+        if path in layers and not any(_is_below(path, folder) for folder in writes):
+            with contextlib.suppress(*(() if path == os.path.realpath(cwd) else (RefusedError,))):
+                _lay_over(path)
+        os.close(seen[path])
+    for path, tree in nodes.items():
+        _place(tree, path)
+        os.close(tree)
+    for path in sockets:
+        if os.path.lexists(path) and os.path.realpath(path) not in (*reads, *writes):
+            _mount("/dev/null", path, "", _BIND)
+    os.chdir(cwd)
+
+
+def give_up_privileges() -> None:
+    """Have what this process executes run without the privileges that it has in its namespaces, and never gain any (capabilities(7))."""
+    _libc.prctl(_NO_NEW_PRIVS, ctypes.c_ulong(1), 0, 0, 0)
+    for capability in range(64):
+        # It fails beyond the last one that the kernel knows.
+        _libc.prctl(_DROP_FROM_BOUNDS, ctypes.c_ulong(capability), 0, 0, 0)
+
+
+def socket_paths() -> Iterator[str]:
+    """Return the paths of the Unix sockets that were made in this process's network and have one (``/proc/net/unix``)."""
+    with open("/proc/self/net/unix", encoding="utf-8", errors="surrogateescape") as file:
+        paths = {line.rstrip("\n").split(" ", 7)[-1].lstrip() for line in file}
+    yield from (path for path in paths if path.startswith("/"))
+
+
+def _is_below(path: str, folder: str) -> bool:
+    return path == folder or path.startswith(folder.rstrip("/") + "/")
+
+
+def _mount(source: str, target: str, kind: str, flags: int, options: str = "") -> None:
+    arguments = [os.fsencode(text) for text in (source, target, kind)]
+    _call(f"a mount on {target}", "mount", *arguments, ctypes.c_ulong(flags), os.fsencode(options) if options else None)
+
+
+def _held(path: str) -> int:
+    """Return a descriptor of what is mounted at a path, which can be placed elsewhere when it is covered there."""
+    flags = _CLONE | _CLOEXEC | _AT_RECURSIVE
+    return _call(f"a copy of {path}", "syscall", _OPEN_TREE, _AT_FDCWD, os.fsencode(path), ctypes.c_uint(flags))
+
+
+def _place(tree: int, path: str) -> None:
+    """Mount what is held at its path, which is made where it is not there: on the folders above it that are the adapter's own."""
+    if not os.path.lexists(path):
+        os.makedirs(os.path.dirname(path), exist_ok=True)
+        if stat.S_ISDIR(os.fstat(tree).st_mode):
+            os.mkdir(path)
+        else:
+            os.close(os.open(path, os.O_CREAT | os.O_WRONLY | os.O_CLOEXEC, 0o600))
+    _call(f"{path} in its place", "syscall", _MOVE_MOUNT, tree, b"", _AT_FDCWD, os.fsencode(path), _FROM_EMPTY_PATH)
+
+
+def _set_flags(path: str, flags: int, *, cleared: int = 0, at: int = _AT_FDCWD, recursive: bool = True) -> None:
+    attributes = struct.pack("=QQQQ", flags, cleared, 0, 0)
+    how = (_AT_RECURSIVE if recursive else 0) | (0 if path else _AT_EMPTY_PATH)
+    _call(
+        f"read-only {path or 'folders'}",
+        "syscall",
+        _MOUNT_SETATTR,
+        at,
+        os.fsencode(path),
+        how,
+        attributes,
+        len(attributes),
+    )
+
+
+def _cover_settings() -> None:
+    for name in _SETTINGS:
+        if os.path.isdir(path := f"/proc/{name}") or os.path.isfile(path):
+            tree = _held(path)
+            _set_flags("", _READ_ONLY, at=tree)
+            _place(tree, path)
+            os.close(tree)
+
+
+def _own_folders() -> Iterator[str]:
+    """Cover the folders in which programs meet with empty ones, and ``/dev``; return them."""
+    covered: list[str] = []
+    for path in dict.fromkeys((*_TEMPORARY, os.environ.get("TMPDIR", "/tmp"))):  # noqa: S108
+        if any(_is_below(path, folder) for folder in covered):
+            os.makedirs(path, exist_ok=True)
+        elif os.path.isdir(path) and not os.path.islink(path):
+            _mount("tmpfs", path, "tmpfs", _NOSUID | _NODEV, "mode=1777")
+            covered.append(path)
+    yield from covered
+    _mount("tmpfs", "/dev", "tmpfs", _NOSUID, "mode=755")
+    for name, target in _LINKS.items():
+        os.symlink(target, f"/dev/{name}")
+    os.mkdir(shared := "/dev/shm")  # noqa: S108
+    _mount("tmpfs", shared, "tmpfs", _NOSUID | _NODEV, "mode=1777")
+    yield "/dev"
+
+
+def _lay_over(path: str) -> None:
+    """Let what is written below a folder lie in memory, above what is there (Documentation/filesystems/overlayfs.rst)."""
+    # What the layer needs is held by it, and need not stay visible.
+    _mount("tmpfs", "/proc", "tmpfs", _NOSUID | _NODEV, "mode=700")
+    os.mkdir("/proc/upper", os.stat(path).st_mode & 0o7777)
+    os.mkdir("/proc/work")
+    os.chdir(path)
+    try:
+        _mount(
+            "overlay", path, "overlay", _NOSUID | _NODEV, "lowerdir=.,upperdir=/proc/upper,workdir=/proc/work,userxattr"
+        )
+    finally:
+        os.chdir("/")
+        _call("the end of a mount", "umount2", b"/proc", _DETACH)

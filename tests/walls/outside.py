@@ -1,0 +1,73 @@
+"""What is outside of a run, and must not be reached from inside: a "plant" that counts what comes."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+import tempfile
+import threading
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+_BYTES = 65536
+
+
+class Outside:
+    """Servers of the test's own process: TCP, UDP, and Unix sockets with an abstract name, with a path below ``/tmp``, and with one elsewhere.
+
+    Attributes:
+        came: what came by which of them.
+    """
+
+    def __init__(self, elsewhere: Path) -> None:
+        self.came: dict[str, int] = {}
+        self._kept = ExitStack()
+        directory = self._kept.enter_context(tempfile.TemporaryDirectory(prefix="outside-"))
+        self.name = f"outside-{secrets.token_hex(8)}"
+        self.paths = {"path": f"{directory}/socket", "home": str(elsewhere / f"{self.name}.socket")}
+        self._kept.callback(lambda: [os.unlink(path) for path in self.paths.values() if os.path.exists(path)])
+        self.tcp = self._serve("tcp", socket.create_server(("127.0.0.1", 0)))
+        for kind, address in (("abstract", f"\0{self.name}"), *self.paths.items()):
+            server = socket.socket(socket.AF_UNIX)
+            server.bind(address)
+            server.listen()
+            self._serve(kind, server)
+        self.udp = self._kept.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        self.udp.bind(("127.0.0.1", 0))
+        threading.Thread(target=self._receive, args=(self.udp,), daemon=True).start()
+
+    def _serve(self, kind: str, server: socket.socket) -> socket.socket:
+        self._kept.enter_context(server)
+        threading.Thread(target=self._accept, args=(kind, server), daemon=True).start()
+        return server
+
+    def _accept(self, kind: str, server: socket.socket) -> None:
+        with suppress(OSError):
+            while True:
+                connection, _ = server.accept()
+                with connection, suppress(OSError):
+                    self.came[kind] = self.came.get(kind, 0) + max(1, len(connection.recv(_BYTES)))
+
+    def _receive(self, server: socket.socket) -> None:
+        with suppress(OSError):
+            while data := server.recv(_BYTES):
+                self.came["udp"] = self.came.get("udp", 0) + len(data)
+
+    def addresses(self) -> dict[str, Any]:
+        """Return where everything is."""
+        return {
+            "tcp": self.tcp.getsockname(),
+            "udp": self.udp.getsockname(),
+            "abstract": self.name,
+            **self.paths,
+            "process": os.getpid(),
+        }
+
+    def close(self) -> None:
+        """End all servers."""
+        for server in (self.tcp, self.udp):
+            with suppress(OSError):
+                server.shutdown(socket.SHUT_RDWR)
+        self._kept.close()
