@@ -17,7 +17,7 @@ def is_unread(call: Mapping[str, Any]) -> bool:
     if frames is None or frames["response"] is None:
         return False
     content = frames["request"].encode() + b"\n" + frames["response"].encode()
-    return hashlib.sha256(content).hexdigest() != call["frames_sha256"]
+    return bool(hashlib.sha256(content).hexdigest() != call["frames_sha256"])
 
 
 def unread_replies(items: Iterable[Item]) -> int:

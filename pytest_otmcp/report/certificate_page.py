@@ -78,6 +78,7 @@ def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
             "Repetitions",
             f"{total['passed']} of {total['planned']} passed, {counted(counts['tool_calls']['task'], 'tool call')}; N = {settings['reps']}",
         ),
+        ("Walls", " ".join((*told["isolation"]["seen"], *told["isolation"]["missing"])) or "none were asked for"),
         ("Seed", str(settings["seed"])),
         ("Run", told["run_id"]),
     ]

@@ -54,6 +54,12 @@ def test_what_is_not_claimed_is_there_with_the_reason_of_the_vendor_and_none_of_
     assert "<img" not in certificate_page(statement, DIGEST, signed=False)
 
 
+def test_the_walls_that_stood_and_those_that_were_missing_are_said(statement: dict[str, Any]) -> None:
+    walls = {"seen": ["No address outside this run could be reached."], "missing": ["No wall around files: refused."]}
+    statement["predicate"]["otmcp"]["isolation"] = walls
+    assert "Walls No address outside this run could be reached. No wall around files: refused." in shown(statement)
+
+
 @pytest.mark.parametrize(
     ("signed", "command"),
     [
