@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import io
 import json
@@ -22,7 +23,8 @@ import pytest
 from pytest_otmcp.reference_adapters import modbus
 from pytest_otmcp.reference_adapters.approvals import main as approver
 from pytest_otmcp.reference_adapters.audit import main as verifier
-from pytest_otmcp.reference_adapters.core import ConfigError
+from pytest_otmcp.reference_adapters.core import AdapterError, ConfigError
+from pytest_otmcp.reference_adapters.core import audit as core_audit
 
 from .cases import CASES, MODBUS, Case
 from .conftest import LEGACY, MODERN, Client, Mock, Reply, Rig
@@ -415,6 +417,27 @@ def test_a_log_that_cannot_be_used_refuses_writes_and_leaves_reads_alone(
     assert write(client, 20, 2).error["code"] == "audit_unavailable"
     assert client.call("read_register", address=20).envelope["success"]
     assert writes(device, mark) == []
+
+
+def test_a_record_of_which_the_disk_does_not_say_that_it_has_it_is_not_believed(
+    monkeypatch: pytest.MonkeyPatch, log: Path
+) -> None:
+    def broken(descriptor: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    audit_log = core_audit.Audit(log, None, {})
+    audit_log.append("intent")
+    with monkeypatch.context() as patch:
+        patch.setattr(core_audit, "_SYNC", broken)
+        for _ in range(2):
+            with pytest.raises(AdapterError, match="Input/output error"):
+                audit_log.append("intent")
+    anchor = audit_log.append("intent")
+    audit_log.close()
+    # The file has what was refused; the record that follows says that it was.
+    assert audit(log, "--anchor", anchor)[0] == 0
+    told = [record["unrecorded"] for record in records(log) if record["event"] == "recovered"]
+    assert told[-1] >= 1
 
 
 def test_a_log_that_was_taken_away_goes_on_and_shows_it(start: Start, log: Path) -> None:
