@@ -23,8 +23,9 @@ import pytest
 from pytest_otmcp.reference_adapters import modbus
 from pytest_otmcp.reference_adapters.approvals import main as approver
 from pytest_otmcp.reference_adapters.audit import main as verifier
-from pytest_otmcp.reference_adapters.core import AdapterError, ConfigError
+from pytest_otmcp.reference_adapters.core import AdapterError, Call, ConfigError, Environment
 from pytest_otmcp.reference_adapters.core import audit as core_audit
+from pytest_otmcp.reference_adapters.core.gates import Gates
 
 from .cases import CASES, MODBUS, Case
 from .conftest import LEGACY, MODERN, Client, Mock, Reply, Rig
@@ -250,6 +251,25 @@ def test_a_bad_policy_is_one_sentence_and_exit_code_2(rig: Rig, tmp_path: Path) 
     done = subprocess.run(command, env=settings, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False)
     assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
     assert "write_regster" in done.stderr
+
+
+def test_a_tool_that_goes_on_after_a_refusal_sends_nothing(tmp_path: Path) -> None:
+    (tmp_path / "policy.toml").write_text(POLICY)
+    environment = Environment({"OT_POLICY": str(tmp_path / "policy.toml"), "OT_ROLE": "operator"})
+    gates = Gates.of(environment, "toy", "toy://")
+    assert gates is not None
+    for said in (["1/holding_registers/70"], ["1/holding_registers/50"], ["1/holding_registers/20", "1/coils/9"], []):
+        gate = gates.gate("write_register", "toy.write", {}, None)
+        call = Call(protocol="toy", operation="toy.write", endpoint="toy://", writes=True, gate=gate)
+        call.begin()
+        for target in said:
+            with contextlib.suppress(AdapterError):
+                call.changes((target, 1))
+        call.sending(changes_state=False)
+        with pytest.raises(AdapterError) as refused:
+            call.sending()
+        assert refused.value.code == "access_denied"
+        assert call.writes_sent == 0
 
 
 # -- all adapters ------------------------------------------------------------------------------------------------
@@ -587,6 +607,7 @@ def test_an_approved_write_is_done_once(start: Start, device: Mock, log: Path) -
     assert len(writes(device, mark)) == 1
     assert events(log) == ["start", "asked", "intent", "outcome", "refused"]
     assert records(log)[2]["approved_by"] == "client"
+    assert len({record["approval"] for record in records(log)[1:]}) == 1
 
 
 def client_endpoint(client: Client) -> str:
