@@ -121,6 +121,8 @@ class Gate:
         self._asked: list[Change] = []
         """Changes for which an approval is needed."""
         self._approved: list[Change] | None = None
+        self._approval: str | None = None
+        """What the records of the calls have in common that are about one approval."""
         self._approved_by: str | None = None
         self._recorded = 0
         """Changes of which the intent is on disk."""
@@ -194,11 +196,12 @@ class Gate:
                 self._present[target] = await present(target)
             return
         request = self._request(present)
+        self._approval = request.digest[:16]
         outside = any(rule.approve == "inbox" for _, rule in self._rules.values())
         try:
             self._approved_by = await self._gates.approvals.obtain(self._context, request, outside=outside)
         except InputRequired:
-            self._record("asked", approval=request.digest[:16])
+            self._record("asked")
             raise
         # Time has passed: what the targets hold is asked for again.
         self._approved, self._present = self._asked, {}
@@ -295,6 +298,7 @@ class Gate:
             changes=[[target, _plain(value)] for target, value in self._changes or self._asked],
             rules=sorted({name for name, _ in self._rules.values()}),
             decision=self._decision if event != "asked" else "approval",
+            approval=self._approval,
             approved_by=self._approved_by,
             **members,
         )

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import io
 import json
@@ -22,7 +23,9 @@ import pytest
 from pytest_otmcp.reference_adapters import modbus
 from pytest_otmcp.reference_adapters.approvals import main as approver
 from pytest_otmcp.reference_adapters.audit import main as verifier
-from pytest_otmcp.reference_adapters.core import ConfigError
+from pytest_otmcp.reference_adapters.core import AdapterError, Call, ConfigError, Environment
+from pytest_otmcp.reference_adapters.core import audit as core_audit
+from pytest_otmcp.reference_adapters.core.gates import Gates
 
 from .cases import CASES, MODBUS, Case
 from .conftest import LEGACY, MODERN, Client, Mock, Reply, Rig
@@ -250,6 +253,25 @@ def test_a_bad_policy_is_one_sentence_and_exit_code_2(rig: Rig, tmp_path: Path) 
     assert "write_regster" in done.stderr
 
 
+def test_a_tool_that_goes_on_after_a_refusal_sends_nothing(tmp_path: Path) -> None:
+    (tmp_path / "policy.toml").write_text(POLICY)
+    environment = Environment({"OT_POLICY": str(tmp_path / "policy.toml"), "OT_ROLE": "operator"})
+    gates = Gates.of(environment, "toy", "toy://")
+    assert gates is not None
+    for said in (["1/holding_registers/70"], ["1/holding_registers/50"], ["1/holding_registers/20", "1/coils/9"], []):
+        gate = gates.gate("write_register", "toy.write", {}, None)
+        call = Call(protocol="toy", operation="toy.write", endpoint="toy://", writes=True, gate=gate)
+        call.begin()
+        for target in said:
+            with contextlib.suppress(AdapterError):
+                call.changes((target, 1))
+        call.sending(changes_state=False)
+        with pytest.raises(AdapterError) as refused:
+            call.sending()
+        assert refused.value.code == "access_denied"
+        assert call.writes_sent == 0
+
+
 # -- all adapters ------------------------------------------------------------------------------------------------
 
 
@@ -417,6 +439,27 @@ def test_a_log_that_cannot_be_used_refuses_writes_and_leaves_reads_alone(
     assert writes(device, mark) == []
 
 
+def test_a_record_of_which_the_disk_does_not_say_that_it_has_it_is_not_believed(
+    monkeypatch: pytest.MonkeyPatch, log: Path
+) -> None:
+    def broken(descriptor: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    audit_log = core_audit.Audit(log, None, {})
+    audit_log.append("intent")
+    with monkeypatch.context() as patch:
+        patch.setattr(core_audit, "_SYNC", broken)
+        for _ in range(2):
+            with pytest.raises(AdapterError, match="Input/output error"):
+                audit_log.append("intent")
+    anchor = audit_log.append("intent")
+    audit_log.close()
+    # The file has what was refused; the record that follows says that it was.
+    assert audit(log, "--anchor", anchor)[0] == 0
+    told = [record["unrecorded"] for record in records(log) if record["event"] == "recovered"]
+    assert told[-1] >= 1
+
+
 def test_a_log_that_was_taken_away_goes_on_and_shows_it(start: Start, log: Path) -> None:
     client = start()
     write(client, 20, 1)
@@ -564,6 +607,7 @@ def test_an_approved_write_is_done_once(start: Start, device: Mock, log: Path) -
     assert len(writes(device, mark)) == 1
     assert events(log) == ["start", "asked", "intent", "outcome", "refused"]
     assert records(log)[2]["approved_by"] == "client"
+    assert len({record["approval"] for record in records(log)[1:]}) == 1
 
 
 def client_endpoint(client: Client) -> str:
@@ -571,16 +615,12 @@ def client_endpoint(client: Client) -> str:
     return endpoint
 
 
-@pytest.mark.parametrize("answer", [*NO, None, "accept"])
+@pytest.mark.parametrize("answer", [*NO, {}, None, "accept", ["accept"]])
 def test_anything_but_an_approval_is_a_refusal(start: Start, device: Mock, log: Path, answer: Any) -> None:
     client, mark = start(capabilities=FORMS), device.mark()
     result = asked(client, address=50, value=9)
-    response = client.answer(again(client, result, answer, address=50, value=9))
-    if "result" in response:
-        assert response["result"]["structuredContent"]["error"]["code"] == "approval_denied"
-    else:
-        # The SDK refuses what is not an answer at all.
-        assert response["error"]["code"] == -32602
+    assert approved(client, result, answer, address=50, value=9).error["code"] == "approval_denied"
+    assert events(log) == ["start", "asked", "refused"]
     # An answer counts once, whatever it was.
     assert approved(client, result, ACCEPT, address=50, value=9).error["code"] == "approval_denied"
     assert writes(device, mark) == []
