@@ -20,6 +20,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from ..core.challenge import NONCE, is_nonce
 from ..core.errors import UsageError
 from ..core.matrix import SUITES
 from . import Refusal, tell
@@ -56,6 +57,11 @@ def add_parser(subparsers: Any) -> None:
         "--out", metavar="DIR", type=Path, default=_DEFAULT_OUT, help="directory to write to (default: %(default)s)"
     )
     parser.add_argument(
+        "--challenge",
+        metavar="NONCE",
+        help=f"a buyer's question, from which the values of the run follow: {NONCE} (default: values are drawn anew)",
+    )
+    parser.add_argument(
         "--sign",
         metavar="KEY",
         type=Path,
@@ -80,6 +86,8 @@ def run(args: argparse.Namespace) -> int:
 
     if args.sign is not None:
         check_key(args.sign)
+    if args.challenge is not None and not is_nonce(args.challenge):
+        raise UsageError(f"--challenge: expected {NONCE}, found {args.challenge[:40]!a}")
     if args.reps < MINIMUM_REPS:
         raise UsageError(f"--reps: a certificate needs at least {MINIMUM_REPS} repetitions, found {args.reps}")
     file = _subject_file(args.subject)
@@ -98,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     tell(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})")
-    code = conclude(out, _run_suite(file, args.reps, out))
+    code = conclude(out, _run_suite(file, args.reps, out, args.challenge))
     if args.sign is not None:
         tell(f"{sign(out / 'certificate.json', args.sign).name} is the signature of {args.sign}")
     return code
@@ -111,7 +119,7 @@ def _subject_file(given: Path | None) -> Path | None:
     return default if default.is_file() else None
 
 
-def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
+def _run_suite(subject: Path | None, reps: int, out: Path, challenge: str | None) -> int:
     """Run the suite in a process of its own; return the exit code of pytest."""
     with tempfile.TemporaryDirectory(prefix="otmcp-certify-") as root:
         ini = Path(root, "pytest.ini")
@@ -127,9 +135,10 @@ def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
             "--pyargs",
             "pytest_otmcp.conformance",
         ]
-        # The seed is random, so that nobody can know beforehand which values will be written and read.
+        # Nobody can know beforehand which values will be written and read: the seed is random, or follows from a buyer's question.
+        chosen = f"seed={secrets.randbelow(2**32)}" if challenge is None else f"challenge={challenge}"
         command += [f"--otmcp-suite={','.join(SUITES)}", f"--otmcp-reps={reps}"]
-        command += [f"--otmcp-seed={secrets.randbelow(2**32)}", f"--otmcp-report-dir={out}"]
+        command += [f"--otmcp-{chosen}", f"--otmcp-report-dir={out}"]
         if subject is not None:
             command.append(f"--otmcp-subject={subject}")
         return _supervised(command, _environment())
