@@ -90,9 +90,9 @@ def signer(content: bytes, signature: bytes, trust: Path, revoked: Path | None =
                 )
                 continue
             name = ",".join(names)
-            asked = ("-Y", "verify", "-f", str(signers), "-I", names[0], "-n", NAMESPACE, "-s", str(file))
+            asked = ["-Y", "verify", "-f", str(signers), "-I", names[0], "-n", NAMESPACE, "-s", str(file)]
             if revoked is not None:
-                asked += ("-r", str(revoked))
+                asked += ["-r", str(revoked)]
             done = _ssh_keygen(*asked, given=content)
             if done.returncode == 0:
                 return name
