@@ -23,12 +23,13 @@ from typing import Any
 from ..core.challenge import NONCE, is_nonce
 from ..core.errors import UsageError
 from ..core.matrix import SUITES
+from ..core.verdict import ExitCode
 from . import Refusal, tell
 
 __all__ = ["add_parser", "run"]
 
 _DEFAULT_OUT = Path("reports", "certificate")
-_OURS = ("run.json", "certificate.json", "certificate.json.sig", "badge.json", "badge.svg")
+_OURS = ("run.json", "certificate.json", "certificate.json.sig", "certificate.html", "badge.json", "badge.svg")
 """Files of an earlier certification, which must not be there when this one fails."""
 
 _BENDING = ("PYTHONOPTIMIZE", "PYTHONWARNINGS", "PYTHONSTARTUP", "PYTHONINSPECT")
@@ -81,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     from ..certificate.eligibility import MINIMUM_REPS, unguarded, unhurried
     from ..subject import load_subject, reference_subject
     from ..subject.claims import Claims
-    from .issue import conclude
+    from .issue import concluded, write, write_pages
     from .signature import check_key, sign
 
     if args.sign is not None:
@@ -106,10 +107,12 @@ def run(args: argparse.Namespace) -> int:
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     tell(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})")
-    code = conclude(out, _run_suite(file, args.reps, out, args.challenge))
+    record, statement = concluded(out, _run_suite(file, args.reps, out, args.challenge))
+    write(out, statement)
     if args.sign is not None:
         tell(f"{sign(out / 'certificate.json', args.sign).name} is the signature of {args.sign}")
-    return code
+    write_pages(out, record, statement, signed=args.sign is not None)
+    return ExitCode.CONFORMANT
 
 
 def _subject_file(given: Path | None) -> Path | None:

@@ -5,6 +5,7 @@ The adapter has run by then and may have changed files, so all that is needed is
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,17 @@ from ..core.errors import KitError, UsageError
 from ..core.verdict import ExitCode, Status, decide, exit_code
 from ..record.condensed import condensed
 from ..record.reader import RecordError, open_record
+from ..record.schema import Run
+from ..report.certificate_page import certificate_page
+from ..report.html import page
 from ..suite.catalogue import tasks_by_id
 from . import Refusal, show, tell
 
-__all__ = ["conclude"]
+__all__ = ["concluded", "write", "write_pages"]
 
 
-def conclude(out: Path, ended: int) -> int:
-    """Write the certificate of a run.
+def concluded(out: Path, ended: int) -> tuple[Run, dict[str, Any]]:
+    """Return the record of a run and its certificate.
 
     Args:
         out: folder of its record.
@@ -48,11 +52,11 @@ def conclude(out: Path, ended: int) -> int:
         statuses = {item["id"]: Status(item["status"]) for item in record["items"]}
         code = exit_code(decide(statuses, tasks), statuses=statuses.values())
         raise Refusal(f"no certificate: {'; '.join(reasons)}", max(code, ExitCode.NOT_CONFORMANT))
-    _write(out, certificate(record, sha256, tasks))
-    return ExitCode.CONFORMANT
+    return record, certificate(record, sha256, tasks)
 
 
-def _write(out: Path, statement: dict[str, Any]) -> None:
+def write(out: Path, statement: dict[str, Any]) -> None:
+    """Write certificate and badge, and say what was earned."""
     for name in ("badge.json", "badge.svg", "certificate.json"):
         # During the run an adapter may have put a link there.
         (out / name).unlink(missing_ok=True)
@@ -78,3 +82,16 @@ def _write(out: Path, statement: dict[str, Any]) -> None:
     show(f"{told['applied']['items']} of {told['applied']['of']} items applied")
     show(told["level"]["why"])
     show(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")
+
+
+def write_pages(out: Path, record: Run, statement: dict[str, Any], *, signed: bool) -> None:
+    """Write the certificate for people, and the report again, which names it."""
+    sha256 = hashlib.sha256((out / "certificate.json").read_bytes()).hexdigest()
+    pages = {
+        "certificate.html": certificate_page(statement, sha256, signed=signed),
+        "report.html": page(record, certificate="certificate.html"),
+    }
+    for name, text in pages.items():
+        (out / name).unlink(missing_ok=True)
+        (out / name).write_text(text, encoding="utf-8", newline="\n")
+    show(f"{out / 'certificate.html'} is the certificate on a page to print")
