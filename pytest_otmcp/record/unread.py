@@ -17,7 +17,7 @@ def is_unread(call: Mapping[str, Any]) -> bool:
     if frames is None or frames["response"] is None:
         return False
     content: bytes = frames["request"].encode() + b"\n" + frames["response"].encode()
-    stated: str = call["frames_sha256"]
+    stated: str | None = call.get("frames_sha256")
     return hashlib.sha256(content).hexdigest() != stated
 
 
