@@ -145,6 +145,7 @@ def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict
     return {
         "server": {"name": facts["server_name"], "version": facts["server_version"]},
         "mcp": {"revision": revision, "era": "stateless" if revision >= _FIRST_STATELESS else "initialize"},
+        "tested": facts.get("tested"),
         "deadline_s": facts["deadline_s"],
         "envelope": facts["envelope"],
         "envelope_requirements_unmet": facts["unmet"],

@@ -20,6 +20,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from ..core.challenge import NONCE, is_nonce
 from ..core.errors import UsageError
 from ..core.matrix import SUITES
 from ..core.verdict import ExitCode
@@ -59,6 +60,11 @@ def add_parser(subparsers: Any) -> None:
     )
     add_option(parser)
     parser.add_argument(
+        "--challenge",
+        metavar="NONCE",
+        help=f"a buyer's question, from which the values of the run follow: {NONCE} (default: values are drawn anew)",
+    )
+    parser.add_argument(
         "--sign",
         metavar="KEY",
         type=Path,
@@ -78,11 +84,13 @@ def run(args: argparse.Namespace) -> int:
     from ..certificate.eligibility import MINIMUM_REPS, unguarded, unhurried
     from ..subject import load_subject, reference_subject
     from ..subject.claims import Claims
-    from .issue import conclude, write_pages
+    from .issue import concluded, write, write_pages
     from .signature import check_key, sign
 
     if args.sign is not None:
         check_key(args.sign)
+    if args.challenge is not None and not is_nonce(args.challenge):
+        raise UsageError(f"--challenge: expected {NONCE}, found {args.challenge[:40]!a}")
     if args.reps < MINIMUM_REPS:
         raise UsageError(f"--reps: a certificate needs at least {MINIMUM_REPS} repetitions, found {args.reps}")
     file = _subject_file(args.subject)
@@ -101,7 +109,8 @@ def run(args: argparse.Namespace) -> int:
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     tell(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})")
-    record, statement = conclude(out, _run_suite(file, args.reps, out, args.isolation))
+    record, statement = concluded(out, _run_suite(file, args, out))
+    write(out, statement)
     if args.sign is not None:
         tell(f"{sign(out / 'certificate.json', args.sign).name} is the signature of {args.sign}")
     write_pages(out, record, statement, signed=args.sign is not None)
@@ -115,7 +124,7 @@ def _subject_file(given: Path | None) -> Path | None:
     return default if default.is_file() else None
 
 
-def _run_suite(subject: Path | None, reps: int, out: Path, isolation: str) -> int:
+def _run_suite(subject: Path | None, args: argparse.Namespace, out: Path) -> int:
     """Run the suite in a process of its own; return the exit code of pytest."""
     with tempfile.TemporaryDirectory(prefix="otmcp-certify-") as root:
         ini = Path(root, "pytest.ini")
@@ -131,13 +140,10 @@ def _run_suite(subject: Path | None, reps: int, out: Path, isolation: str) -> in
             "--pyargs",
             "pytest_otmcp.conformance",
         ]
-        # The seed is random, so that nobody can know beforehand which values will be written and read.
-        command += [f"--otmcp-suite={','.join(SUITES)}", f"--otmcp-reps={reps}"]
-        command += [
-            f"--otmcp-seed={secrets.randbelow(2**32)}",
-            f"--otmcp-report-dir={out}",
-            f"--otmcp-isolation={isolation}",
-        ]
+        # Nobody can know beforehand which values will be written and read: the seed is random, or follows from a buyer's question.
+        chosen = f"seed={secrets.randbelow(2**32)}" if args.challenge is None else f"challenge={args.challenge}"
+        command += [f"--otmcp-suite={','.join(SUITES)}", f"--otmcp-reps={args.reps}"]
+        command += [f"--otmcp-{chosen}", f"--otmcp-report-dir={out}", f"--otmcp-isolation={args.isolation}"]
         if subject is not None:
             command.append(f"--otmcp-subject={subject}")
         return _supervised(command, _environment())

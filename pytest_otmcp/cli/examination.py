@@ -61,17 +61,24 @@ def answer(asked: Mapping[str, Any]) -> dict[str, Any]:
     told = asked["certificate"]
     read = None if told is None else Certificate(name=told["name"], content=base64.b64decode(told["content"]))
     subject = None if asked["subject"] is None else Path(asked["subject"])
-    found = examine(Path(asked["record"]), certificate=read, subject=subject)
+    found = examine(Path(asked["record"]), certificate=read, subject=subject, challenge=asked["challenge"])
     return {"said": found.said, "code": found.code}
 
 
-def examine(record: Path, *, certificate: Certificate | None = None, subject: Path | None = None) -> Examined:
+def examine(
+    record: Path,
+    *,
+    certificate: Certificate | None = None,
+    subject: Path | None = None,
+    challenge: str | None = None,
+) -> Examined:
     """Derive everything in a record again, and the certificate from the record.
 
     Args:
         record: the run.json.
         certificate: that is about the record; None for any record, also one that earns none.
         subject: the subject file that the record names; nothing of it is executed.
+        challenge: the nonce that the run must have been made for.
 
     Raises:
         UsageError: the subject file cannot be read.
@@ -83,7 +90,7 @@ def examine(record: Path, *, certificate: Certificate | None = None, subject: Pa
         with open_record(record, allow_incomplete=certificate is None) as run:
             if certificate is not None and run.sha256 not in _bound(told):
                 raise Refusal(f"refused: {certificate.name} is about another run.json than {record}")
-            return _derived(run, record, certificate, told, subject)
+            return _derived(run, record, certificate, told, subject, challenge)
     except RecordError as reason:
         raise Refusal(cut(f"refused: {reason}")) from None
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
@@ -92,7 +99,12 @@ def examine(record: Path, *, certificate: Certificate | None = None, subject: Pa
 
 
 def _derived(
-    stored: StoredRun, path: Path, certified: Certificate | None, told: object, subject: Path | None
+    stored: StoredRun,
+    path: Path,
+    certified: Certificate | None,
+    told: object,
+    subject: Path | None,
+    challenge: str | None,
 ) -> Examined:
     _check_kit(path, stored.header["kit"], stored.header["subject"]["adapters"])
     if "digest" not in stored.footer:
@@ -108,6 +120,10 @@ def _derived(
         _refuse(f"{path} contradicts itself", [*clock_faults(run, run["items"]), *_wrong_verdict(run, tasks)])
     faults = [*settings_faults(run["settings"]), *header_faults(run, datetime.now(UTC)), *_wrong_subject(run, tasks)]
     _refuse(f"{path} contradicts itself", faults)
+    asked = run["settings"].get("challenge")
+    if challenge is not None and asked != challenge:
+        other = "for none" if asked is None else f"for {asked!a}"
+        raise Refusal(cut(f"refused: {path} was not made for the challenge {challenge!a}, but {other}"))
     if subject is not None:
         read = load_subject(subject, run=False)
         _refuse(f"{path} is not about {subject}", list(comparison.differences(read, run["subject"])))
@@ -115,6 +131,10 @@ def _derived(
     said = list(_of_record(run, tasks, why_none) if certified is None else _of_certificate(run, tasks))
     if subject is not None:
         said.append(f"the subject, its claims, deadlines and bindings are those of {subject}")
+    if challenge is not None:
+        said.append(f"its values follow from the challenge {challenge}, so the run is newer than that question")
+    elif asked is not None:
+        said.append(f"its values follow from the challenge {asked!a}; whoever asked that gives --challenge")
     judges = [
         f"protocol {entry['key']}: {entry['distribution']} {entry['version']}"
         for entry in run["kit"]["protocols"]

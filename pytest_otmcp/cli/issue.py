@@ -23,11 +23,11 @@ from ..report.html import page
 from ..suite.catalogue import tasks_by_id
 from . import Refusal, show, tell
 
-__all__ = ["conclude", "write_pages"]
+__all__ = ["concluded", "write", "write_pages"]
 
 
-def conclude(out: Path, ended: int) -> tuple[Run, dict[str, Any]]:
-    """Write the certificate of a run; return its record and the certificate.
+def concluded(out: Path, ended: int) -> tuple[Run, dict[str, Any]]:
+    """Return the record of a run and its certificate.
 
     Args:
         out: folder of its record.
@@ -52,12 +52,11 @@ def conclude(out: Path, ended: int) -> tuple[Run, dict[str, Any]]:
         statuses = {item["id"]: Status(item["status"]) for item in record["items"]}
         code = exit_code(decide(statuses, tasks), statuses=statuses.values())
         raise Refusal(f"no certificate: {'; '.join(reasons)}", max(code, ExitCode.NOT_CONFORMANT))
-    statement = certificate(record, sha256, tasks)
-    _write(out, statement)
-    return record, statement
+    return record, certificate(record, sha256, tasks)
 
 
-def _write(out: Path, statement: dict[str, Any]) -> None:
+def write(out: Path, statement: dict[str, Any]) -> None:
+    """Write certificate and badge, and say what was earned."""
     for name in ("badge.json", "badge.svg", "certificate.json"):
         # During the run an adapter may have put a link there.
         (out / name).unlink(missing_ok=True)

@@ -58,13 +58,14 @@ def sign(path: Path, key: Path) -> Path:
     return signature
 
 
-def signer(content: bytes, signature: bytes, trust: Path) -> str:
+def signer(content: bytes, signature: bytes, trust: Path, revoked: Path | None = None) -> str:
     """Return who has signed, as the file of trusted signers names them.
 
     Args:
         content: that was signed.
         signature: an SSH signature.
         trust: a file as ``allowed_signers`` of ssh-keygen(1).
+        revoked: keys that are trusted no more: a key revocation list of ssh-keygen(1), or public keys, one a line.
 
     Raises:
         UsageError: there is no OpenSSH here, or no such file.
@@ -72,21 +73,26 @@ def signer(content: bytes, signature: bytes, trust: Path) -> str:
     """
     if not trust.is_file():
         raise UsageError(f"--trust: {trust}: there is no such file")
+    if revoked is not None and not revoked.is_file():
+        raise UsageError(f"--revoked: {revoked}: there is no such file")
     with tempfile.TemporaryDirectory(prefix="otmcp-") as directory:
         file = Path(directory, "signature")
         file.write_bytes(signature)
         refusal = None
         for signers in _one_by_one(trust, Path(directory)):
             found = _ssh_keygen("-Y", "find-principals", "-s", str(file), "-f", str(signers))
-            names = found.stdout.decode("utf-8", "replace").split("\n")[0]
+            # One line of the file may name several principals: each comes on a line of its own, patterns that are excluded among them.
+            lines = found.stdout.decode("utf-8", "replace").split("\n")
+            names = [line for line in lines if line and not line.startswith("!")]
             if found.returncode != 0 or not names:
                 refusal = (
                     refusal or f"the signature of the certificate is of nobody whom {trust} trusts: {_words(found)}"
                 )
                 continue
-            # One line of the file may name several principals, separated by commas; the first will do.
-            name = names.split(",")[0]
-            asked = ("-Y", "verify", "-f", str(signers), "-I", name, "-n", NAMESPACE, "-s", str(file))
+            name = ",".join(names)
+            asked = ["-Y", "verify", "-f", str(signers), "-I", names[0], "-n", NAMESPACE, "-s", str(file)]
+            if revoked is not None:
+                asked += ["-r", str(revoked)]
             done = _ssh_keygen(*asked, given=content)
             if done.returncode == 0:
                 return name

@@ -38,10 +38,19 @@ def add_parser(subparsers: Any) -> None:
         "--subject", metavar="FILE", type=Path, help="the subject file that was tested; nothing of it is executed"
     )
     parser.add_argument(
+        "--challenge", metavar="NONCE", help="the question that you asked: the run must have been made for it"
+    )
+    parser.add_argument(
         "--trust",
         metavar="FILE",
         type=Path,
         help="signers that you trust, as OpenSSH's allowed_signers: CERT.sig must be a signature of one of them",
+    )
+    parser.add_argument(
+        "--revoked",
+        metavar="FILE",
+        type=Path,
+        help="keys that you trust no more, beside --trust: a key revocation list of ssh-keygen, or public keys, one a line",
     )
     parser.add_argument(
         "--patience",
@@ -66,13 +75,18 @@ def run(args: argparse.Namespace) -> int:
 
     if args.trust is not None and args.certificate is None:
         raise UsageError("--trust: only a certificate is signed; give CERT and RUN")
+    if args.revoked is not None and args.trust is None:
+        raise UsageError("--revoked: it is about the keys of --trust; give both")
     certificate = None if args.certificate is None else content(args.certificate, LARGEST_CERTIFICATE)
     bounds = Bounds.of(size(args.record, LARGEST_RECORD), args.patience)
     signed_by = None
     if args.trust is not None and certificate is not None:
-        signed_by = signer(certificate, content(_beside(args.certificate), LARGEST_CERTIFICATE), args.trust)
+        signed_by = signer(
+            certificate, content(_beside(args.certificate), LARGEST_CERTIFICATE), args.trust, args.revoked
+        )
     asked = {
         "record": str(args.record),
+        "challenge": args.challenge,
         "subject": None if args.subject is None else str(args.subject),
         "certificate": None
         if certificate is None

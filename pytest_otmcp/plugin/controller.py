@@ -244,6 +244,7 @@ class RunRecorder:
                     "reps": settings.reps,
                     "repetitions": settings.repetitions,
                     "seed": settings.seed,
+                    **({} if settings.challenge is None else {"challenge": settings.challenge}),
                     "era": settings.era,
                     "time_scale": settings.time_scale,
                     "soak": settings.soak,

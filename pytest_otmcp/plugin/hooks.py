@@ -302,6 +302,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 def _begin_recording(config: pytest.Config, selection: Selection, tasks: list[Task], *, workers: int) -> None:
     """Create the recorder and the progress of this run; only the controller has them."""
     from ..session.keeper import hide_memory
+    from ..subject.tested import programs
     from ..suite.catalogue import kit_digest
     from .controller import RunRecorder
     from .interference import Interference
@@ -327,7 +328,9 @@ def _begin_recording(config: pytest.Config, selection: Selection, tasks: list[Ta
     with ignore_warnings():
         interference.note(*unknown_startup_files())
         config.stash[SURROUNDINGS] = Surroundings(
-            selection.subject.sources(), (config.rootpath, config.invocation_params.dir), kit_digest.__wrapped__
+            (*selection.subject.sources(), *programs(selection.subject)),
+            (config.rootpath, config.invocation_params.dir),
+            kit_digest.__wrapped__,
         )
     config.add_cleanup(config.stash[RECORDER].close)
     config.stash[PROGRESS] = Progress(config, tasks, settings.repetitions, workers=workers)

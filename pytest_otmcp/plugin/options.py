@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
+from ..core.challenge import NONCE, is_nonce, seed_of
 from ..core.errors import UsageError
 from ..core.matrix import BENCHMARK, REQUIREMENTS, SUITES, repetitions
 from ..core.walls import AUTO, MODES
@@ -48,6 +49,7 @@ _OPTIONS = {
         "run.json of an earlier run: the verdict says which rules are newly broken, and which were mended",
     ),
     "seed": ("N", "seed of the values that repetitions use (default 0)"),
+    "challenge": ("NONCE", f"a buyer's question from which the seed follows, in the seed's place: {NONCE}"),
     "era": ("ERA", "MCP protocol era: auto or legacy (default auto)"),
     "time-scale": (
         "X",
@@ -73,6 +75,7 @@ class RunSettings:
         baseline: record of an earlier run to compare with, or None.
         report_dir: directory of run record, tables and figures.
         seed: seed of the values that repetitions use.
+        challenge: the nonce from which it follows, or None.
         era: MCP protocol era, ``auto`` or ``legacy``.
         isolation: the walls around the adapters: ``auto``, ``require`` or ``off``.
         time_scale: factor on deadlines and windows; windows in which nothing may happen are never shortened.
@@ -89,6 +92,7 @@ class RunSettings:
     baseline: Path | None
     report_dir: Path
     seed: int
+    challenge: str | None
     era: str
     isolation: str
     time_scale: float
@@ -130,6 +134,11 @@ def read_settings(config: pytest.Config) -> RunSettings:
         return None if value is None else str(value)
 
     only = _names(text("only"))
+    challenge = text("challenge")
+    if challenge is not None and not is_nonce(challenge):
+        raise UsageError(f"--otmcp-challenge: expected {NONCE}, found {challenge[:40]!a}")
+    if challenge is not None and text("seed") is not None:
+        raise UsageError("--otmcp-seed: the seed follows from --otmcp-challenge; give one of the two")
     reps = _read_whole_number("reps", text("reps"), DEFAULT_REPS, minimum=1, maximum=100_000)
     return RunSettings(
         reps=reps,
@@ -140,7 +149,10 @@ def read_settings(config: pytest.Config) -> RunSettings:
         protocols=_names(text("protocols")),
         baseline=_existing("baseline", text("baseline"), config.invocation_params.dir),
         report_dir=_resolve_report_dir(text("report-dir"), config),
-        seed=_read_whole_number("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1),
+        seed=_read_whole_number("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1)
+        if challenge is None
+        else seed_of(challenge),
+        challenge=challenge,
         era=_check_choice("era", text("era") or "auto", ("auto", "legacy")),
         isolation=_check_choice("isolation", text("isolation") or AUTO, MODES),
         time_scale=_read_factor(text("time-scale")),

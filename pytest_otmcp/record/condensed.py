@@ -44,7 +44,7 @@ def _thin(sample: Sample, shared: dict[tuple[object, ...], Call]) -> Sample:
         if is_unread(call):
             # It is counted.
             kept = ("role", "error_code", "ok", "frames", "frames_sha256")
-            calls.append(cast(Call, {name: dict(call)[name] for name in kept}))
+            calls.append(cast(Call, {name: value for name, value in call.items() if name in kept}))
             continue
         # Thousands of calls have the same counted members, so they share one object.
         told = (call["role"], call["error_code"], call["ok"])

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 
+from ..core.challenge import is_nonce, seed_of
 from ..core.matrix import REQUIREMENTS, SUITES, repetitions
 from ..core.verdict import INEXPRESSIBLE, Status, Verdict, decide
 from .schema import COUNTED, ROLES, Call, Counted, Footer, Header, Item, ItemHead, Sample, Settings
@@ -183,6 +184,9 @@ def header_faults(header: Header, now: datetime) -> Iterator[str]:
 def settings_faults(settings: Settings) -> Iterator[str]:
     """Say in a sentence what cannot be of the options of a run."""
     follows = repetitions(settings["reps"]) if settings["reps"] else {}
+    challenge = settings.get("challenge")
+    if challenge is not None and (not is_nonce(challenge) or settings["seed"] != seed_of(challenge)):
+        yield f"the seed {settings['seed']} does not follow from the challenge {challenge[:128]!a}"
     if settings["repetitions"] != follows:
         yield f"of N = {settings['reps']} follow the repetitions {follows}, the settings say {settings['repetitions']}"
 

@@ -257,6 +257,22 @@ class ReadyTold(TypedDict):
     within_s: Deadline
 
 
+class Tested(TypedDict):
+    """What the adapter's command started, as far as the kit can know it.
+
+    ``program``: name of the file that is executed. ``files``: the adapter's own, which are found by its imports. ``packages``: lists of the
+    distributions that are installed beside it, or a lock of its packages. ``image``: of a container, if the command names its digest.
+    """
+
+    program: Name
+    program_sha256: Digest | None
+    files: Count
+    files_sha256: Digest | None
+    packages: Count
+    packages_sha256: Digest | None
+    image: Name | None
+
+
 class AdapterFacts(TypedDict):
     """One adapter under test: what its subject file says, and how its server introduced itself.
 
@@ -272,7 +288,8 @@ class AdapterFacts(TypedDict):
     envelope that its own answers do not meet. ``listing``: every tool that was called by a binding. ``unjudged``: outputs that the
     subject file does not say where to find. The members of the server are None when no session was ever opened.
     ``addressed_by``: keys of the subject file that hold the address of the mock device. ``transport``: that of MCP.
-    ``libraries``: known libraries that the adapter's own files import, to the name of the first such file.
+    ``libraries``: known libraries that the adapter's own files import, to the name of the first such file. ``tested``: what its command
+    started.
     """
 
     command: list[str]
@@ -304,6 +321,7 @@ class AdapterFacts(TypedDict):
     tools: Count | None
     addressed_by: NotRequired[list[str]]
     libraries: NotRequired[dict[str, str]]
+    tested: NotRequired[Tested]
 
 
 class Subject(TypedDict):
@@ -338,7 +356,7 @@ class Settings(TypedDict):
     ``soak``: checks took their long form; a run of a kit without long forms has no such member. ``protocols``: further protocols
     whose reference adapters were asked for; ``not_measured``: those whose adapter could not be started, each with a sentence that
     says why; a run of an earlier kit has neither. ``narrowed``: which options make
-    the run say less than a full run, a sentence each.
+    the run say less than a full run, a sentence each. ``challenge``: the nonce that the seed follows from; absent where there is none.
     """
 
     subject: str | None
@@ -353,6 +371,7 @@ class Settings(TypedDict):
     not_measured: NotRequired[dict[str, str]]
     xdist_workers: Count
     narrowed: list[str]
+    challenge: NotRequired[str]
 
 
 class Endpoint(TypedDict):

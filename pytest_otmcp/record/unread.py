@@ -16,8 +16,9 @@ def is_unread(call: Mapping[str, Any]) -> bool:
     frames = call.get("frames")
     if frames is None or frames["response"] is None:
         return False
-    content = frames["request"].encode() + b"\n" + frames["response"].encode()
-    return bool(hashlib.sha256(content).hexdigest() != call["frames_sha256"])
+    content: bytes = frames["request"].encode() + b"\n" + frames["response"].encode()
+    stated: str | None = call.get("frames_sha256")
+    return hashlib.sha256(content).hexdigest() != stated
 
 
 def unread_replies(items: Iterable[Item]) -> int:

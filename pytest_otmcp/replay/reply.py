@@ -134,6 +134,8 @@ def _exchange(call: Mapping[str, Any]) -> Exchange | None:
     else:
         response = None if frames["response"] is None else frames["response"].encode()
         failure, complaint = frames["failure"], frames["complaint"]
+        if response is not None and "frames_sha256" not in call:
+            raise HistoryError(f"{call['tool']} has frames, and no digest of them")
         if is_unread(call):
             if not (_altered(frames["request"]) or _altered(frames["response"])):
                 raise HistoryError(f"the frames of {call['tool']} are not those of their digest")

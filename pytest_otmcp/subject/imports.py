@@ -21,7 +21,7 @@ from ..core.files import regular
 from ..core.library_registry import Library, libraries
 from ..protocols.registry import protocols
 
-__all__ = ["libraries_used"]
+__all__ = ["libraries_used", "own_files"]
 
 _NODE = (".ts", ".mts", ".cts", ".js", ".mjs", ".cjs")
 _OF_NODE = re.compile(
@@ -45,7 +45,7 @@ def libraries_used(command: Sequence[str], cwd: Path | None) -> dict[str, str]:
     """
     known = [*libraries().values(), *(one for each in protocols().values() for one in libraries(each.package).values())]
     found: dict[str, str] = {}
-    for file in _own_files(command, cwd or Path.cwd()):
+    for file in own_files(command, cwd or Path.cwd()):
         modules = {_module(name, file) for name in _imported(file)}
         for library in known:
             if not modules.isdisjoint(_names(library, file)):
@@ -62,7 +62,7 @@ def _names(library: Library, file: Path) -> Sequence[str]:
     return library.node if file.suffix in _NODE else library.python
 
 
-def _own_files(command: Sequence[str], cwd: Path) -> Iterator[Path]:
+def own_files(command: Sequence[str], cwd: Path) -> Iterator[Path]:
     """Yield the files of the adapter's program, each once."""
     program = shutil.which(command[0], path=None) or str(cwd / command[0])
     installed = [*Path(program).parent.parent.glob("lib/python3*/site-packages")]

@@ -26,7 +26,7 @@ from ..plant.endpoint import endpoint_values
 from ..plant.owners import TOKEN_VARIABLE, new_token
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts, Footprint, StoredBinding, ToolListing, ToolsChanged, VariantName
+from ..record.schema import AdapterFacts, Footprint, StoredBinding, Tested, ToolListing, ToolsChanged, VariantName
 from ..record.schema import Device as DeviceFacts
 from ..session.canary import CANARY_VARIABLE, Leak, SecretSearch, new_canary
 from ..session.exchange import Exchange, joined
@@ -55,6 +55,7 @@ from ..subject.model import (
     replace_placeholders,
     replace_template,
 )
+from ..subject.tested import fingerprint
 from .alteration import Alteration, expanded
 from .cursor import JournalCursor
 from .reply import Expectation, Reply, kept_of, observe, replace_outputs
@@ -166,6 +167,7 @@ class AdapterUnderTest:
         self._addressed = False
         self._handles = self._no_handles()
         self._launched: Variant | None = None
+        self._tested: Tested | None = None
         self.legacy = False
         self._garbled: Mapping[str, str] = {}
         self._by_handshake = self._refuses_handshake = False
@@ -196,7 +198,7 @@ class AdapterUnderTest:
     def facts(self) -> AdapterFacts:
         """Return what ``run.json`` says about the adapter."""
         adapter = self.adapter
-        return {
+        facts: AdapterFacts = {
             **adapter.facts(),
             **self._server,
             "bindings": {
@@ -209,6 +211,9 @@ class AdapterUnderTest:
             "addressed_by": addressed_by(adapter),
             "libraries": {} if self._launched is None else libraries_used(self._launched.command, self._launched.cwd),
         }
+        if self._tested is not None:
+            facts["tested"] = self._tested
+        return facts
 
     def listing(self, tool: str) -> ToolListing | None:
         """Return what ``tools/list`` says of a tool, as far as it is judged; None where it says nothing."""
@@ -266,6 +271,8 @@ class AdapterUnderTest:
         canaries = {name: new_canary() for name in (CANARY_VARIABLE, *self.adapter.secret_env)}
         search = SecretSearch(canaries, self.adapter.telling_secrets(launch.env))
         self._launched = launch
+        if self._tested is None:
+            self._tested = fingerprint(launch.command, launch.cwd)
         for name, content in launch.files.items():
             file = Path(self._work.name, name)
             file.parent.mkdir(parents=True, exist_ok=True)

@@ -38,10 +38,8 @@ def test_every_workflow_and_recipe_uses_one_version_of_an_action() -> None:
 
 def test_recipes_install_the_version_that_this_is() -> None:
     text = "\n".join(recipe.read_text(encoding="utf-8") for recipe in RECIPES)
-    assert set(re.findall(r"pytest-otmcp==([\d.]+\d)", text)) == {PROJECT["version"]}
+    assert set(re.findall(r"pytest_otmcp-([\d.]+\d)-py3", text)) == {PROJECT["version"]}
     assert set(re.findall(r"OWNER/pytest-otmcp(?:/conformance)?@v?([\d.]+\d)", text)) == {PROJECT["version"]}
-    [default] = re.findall(r'version:\n(?: +.*\n)*? +default: "([\d.]+)"', text)
-    assert default == PROJECT["version"]
 
 
 def test_the_citation_names_the_version_and_licence_of_the_project() -> None:
@@ -92,6 +90,66 @@ def test_the_lock_of_continuous_integration_has_every_version_with_hashes_and_no
     files = re.split(versions, lock)[3::3]
     assert all(re.match(r"( \\\n +--hash=sha256:[0-9a-f]{64})+$", one.rstrip("\n")) for one in files), files
     assert "://" not in lock
+
+
+WORKFLOWS = sorted((CHECKOUT / ".github" / "workflows").glob("*.yml"))
+INSTALLING = [*WORKFLOWS, CHECKOUT / "action.yml", CHECKOUT / "Containerfile"]
+
+
+def test_every_action_is_one_commit_and_its_version_is_said() -> None:
+    used = [
+        line.strip()
+        for file in RECIPES
+        for line in file.read_text().splitlines()
+        if " uses: " in line and "OWNER/" not in line
+    ]
+    assert len(used) > 20
+    assert [line for line in used if not re.fullmatch(r"(?:- )?uses: [\w./-]+@[0-9a-f]{40} # v\d+(\.\d+)+", line)] == []
+
+
+def test_whatever_is_installed_is_compared_with_its_hash() -> None:
+    installs = [
+        line.strip()
+        for file in INSTALLING
+        for line in file.read_text().splitlines()
+        if re.search(r"\bpip\"? install", line) and not line.lstrip().startswith("#")
+    ]
+    assert len(installs) > 20
+    loose = [
+        line
+        for line in installs
+        if not re.search(r"--require-hashes --no-deps -r|--no-index --no-deps --no-build-isolation", line)
+    ]
+    # A job about the newest versions has no hashes of them.
+    assert loose == ['- run: pip install -e ".[dev]" "pytest==${{ matrix.pytest }}.*"']
+
+
+@pytest.mark.parametrize("name", ["run", "build"])
+def test_the_locks_agree_with_the_constraints(name: str) -> None:
+    versions = re.compile(r"^([\w.-]+)==([^\s\\]+)", re.MULTILINE)
+    stated = dict(versions.findall((CHECKOUT / "constraints.txt").read_text().lower().replace("_", "-")))
+    locked = dict(versions.findall((CHECKOUT / ".ci" / f"{name}.txt").read_text().lower()))
+    assert {key: version for key, version in locked.items() if stated.get(key, version) != version} == {}
+    hashes = (CHECKOUT / ".ci" / f"{name}.txt").read_text().count("--hash=sha256:")
+    assert hashes >= len(locked)
+
+
+def test_the_image_is_an_ordinary_users_and_its_recipes_reach_nothing() -> None:
+    text = (CHECKOUT / "Containerfile").read_text()
+    assert re.findall(r"^USER (\w+)$", text, re.MULTILINE)[-1] == "otmcp"
+    assert [line for line in text.splitlines() if " run --rm" in line and "--network none" not in line] == []
+
+
+def test_nobody_is_told_to_install_a_name_that_is_not_ours_yet() -> None:
+    # As long as the name is not registered, whoever registers it would be installed by all who follow the documents.
+    pages = [*CHECKOUT.glob("*.md"), *(CHECKOUT / "docs").rglob("*.md"), *(CHECKOUT / "templates").glob("*.yml")]
+    told = [
+        f"{page.name}: {line.strip()}"
+        for page in pages
+        for line in page.read_text().splitlines()
+        if re.search(r"pip install[^`]*\bpytest-otmcp\b", line)
+    ]
+    assert told == []
 
 
 def test_the_sample_is_what_the_kit_makes_of_its_record() -> None:

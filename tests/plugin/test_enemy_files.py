@@ -55,7 +55,7 @@ def ping(run: Record) -> Record:
 
 def verified(path: Path, bounds: Bounds) -> list[str]:
     """Return what is said of a record that is examined within these bounds."""
-    asked = {"record": str(path), "subject": None, "certificate": None}
+    asked = {"record": str(path), "subject": None, "certificate": None, "challenge": None}
     said: list[str] = confined("examination", asked, bounds, str(path))["said"]
     return said
 

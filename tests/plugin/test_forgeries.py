@@ -15,12 +15,14 @@ import pytest
 
 from pytest_otmcp.cli import Refusal
 from pytest_otmcp.cli.examination import examine
+from pytest_otmcp.core.challenge import seed_of
 from pytest_otmcp.record import load
 from pytest_otmcp.soundness.warm_start import WarmStart
 from tests.stored_runs import store
 
 from .places import Change, Record, call, calls, entry, facts, item, journal, look, moved, parts, sample
 from .reference_run import reference_run
+from .vendor import Repository
 
 FAMILIES = ("Modbus", "MQTT", "OPC UA")
 HOUR_NS = 3600 * 10**9
@@ -78,6 +80,28 @@ def test_another_subject_file_is_refused(genuine: Record, path: Path, tmp_path: 
     changed.write_bytes((path.parents[2] / "otmcp.toml").read_bytes() + b"\n")
     with pytest.raises(Refusal, match=r"is not about \S+otmcp\.toml: the digest of the subject is sha256:"):
         examine(store(tmp_path / "run.json", genuine, recount=True), subject=changed)
+
+
+def test_a_run_for_a_challenge_is_none_for_another_one(empty_repository: Repository, tmp_path: Path) -> None:
+    asked, other = "buyer-2026-11-26-7f3a9c", "buyer-2025-01-01-000000"
+    empty_repository.subject()
+    outcome = empty_repository.pytest(
+        "--pyargs", "pytest_otmcp.conformance", f"--otmcp-challenge={asked}", "-k", "[M3]"
+    )
+    record = outcome.report / "run.json"
+    assert (
+        f"its values follow from the challenge {asked}, so the run is newer than that question"
+        in examine(record, challenge=asked).said
+    )
+    with pytest.raises(Refusal, match="was not made for the challenge 'buyer-2025-01-01-000000', but for 'buyer-2026"):
+        examine(record, challenge=other)
+    run = load(record, allow_incomplete=True)
+    run["settings"].update(challenge=other, seed=seed_of(other))
+    with pytest.raises(Refusal, match="was not judged as its history deserves: M3 warmup: the steps ask for "):
+        examine(store(tmp_path / "run.json", run, recount=True), challenge=other)
+    del run["settings"]["challenge"]
+    with pytest.raises(Refusal, match="was not made for the challenge 'buyer-2026-11-26-7f3a9c', but for none"):
+        examine(store(tmp_path / "run.json", run, recount=True), challenge=asked)
 
 
 # -- changes ---------------------------------------------------------------------------------------------------------------

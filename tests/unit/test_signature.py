@@ -64,6 +64,36 @@ def test_a_key_that_is_trusted_for_something_else_too_names_its_signer(
         signer(content + b" ", signature, trust)
 
 
+@pytest.mark.parametrize("as_list", [True, False])
+def test_a_revoked_key_is_trusted_no_more(
+    certificate: Path, key: Path, trust: Path, tmp_path: Path, as_list: bool
+) -> None:
+    content, signature = certificate.read_bytes(), sign(certificate, key).read_bytes()
+    revoked, other = tmp_path / "revoked", new_key(tmp_path / "other")
+    for gone, holds in ((other, True), (key, False)):
+        public = gone.with_suffix(".pub")
+        if as_list:
+            subprocess.run([shutil.which("ssh-keygen") or "", "-q", "-k", "-f", str(revoked), str(public)], check=True)
+        else:
+            revoked.write_bytes(public.read_bytes())
+        if holds:
+            assert signer(content, signature, trust, revoked) == WHO
+        else:
+            with pytest.raises(Refusal, match="does not hold for this certificate"):
+                signer(content, signature, trust, revoked)
+
+
+@pytest.mark.parametrize(
+    ("principals", "told"),
+    [("!bad@x,*@x", "*@x"), ('"TUV Sued, Munich"', "TUV Sued, Munich"), ("a@x,b@x", "a@x,b@x")],
+)
+def test_the_principals_of_a_line_are_told_whole_and_without_those_that_are_excluded(
+    certificate: Path, key: Path, trust: Path, principals: str, told: str
+) -> None:
+    trust.write_text(f'{principals} namespaces="{NAMESPACE}" {key.with_suffix(".pub").read_text()}')
+    assert signer(certificate.read_bytes(), sign(certificate, key).read_bytes(), trust) == told
+
+
 def test_anybody_can_check_it_with_ssh_keygen_alone(certificate: Path, key: Path, trust: Path) -> None:
     command = [
         "ssh-keygen",
