@@ -128,6 +128,14 @@ def test_an_empty_list_in_an_outage_is_not_told_as_a_value_from_memory(
 
 
 @pytest.mark.long
+def test_a_success_that_says_nothing_is_not_told_as_a_value_from_memory(judge_foreign: Judge) -> None:
+    results = judge_foreign("mqtt-connect", lie="listens-to-nobody", tasks="WR-003.mqtt")
+    assert "that was set there did not come back. Another device was asked, or none; nothing was written" in words(
+        results
+    )
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("lie", ["keeps-its-connection", "tells-the-last-one"])
 def test_what_is_told_over_a_connection_whose_end_has_vanished_is_no_success(judge_foreign: Judge, lie: str) -> None:
     described = RESULT, f"{RESULT} | [?topic]"
