@@ -69,25 +69,24 @@ def can_read(run: Repetition, at: Rig) -> bool:
 def some_read(run: Repetition, at: Rig) -> Asked | None:
     """Make a read by whichever operation the subject has that the device has to answer, that of the exercise first; None where it has
     none."""
-    described = protocols()[at.protocol]
-    others = [Asked(operation=one.operation, inputs=one.made(run.rng)) for one in described.proof.unreachable]
-    return next((asked for asked in (exercise(at).read(run.rng), *others) if _is_read(at, asked)), None)
+    return next((asked for asked in _reads(at, run.rng) if _is_read(at, asked)), None)
+
+
+def reads_anything(at: Rig) -> bool:
+    """Tell whether the subject has the read of the exercise, a call that takes its place, or a status."""
+    return any(_is_read(at, asked) for asked in _reads(at, random.Random(0)))
+
+
+def _reads(at: Rig, rng: random.Random) -> list[Asked]:
+    unreachable = protocols()[at.protocol].proof.unreachable
+    others = [Asked(operation=one.operation, inputs=one.made(rng)) for one in unreachable]
+    return [exercise(at).read(rng), *others]
 
 
 def _is_read(at: Rig, asked: Asked) -> bool:
     # A call that does not wait for messages returns what came before, so the device need not be there.
     waits = protocols()[at.protocol].operations[asked.operation].waits
     return at.can_ask(asked.operation, asked.inputs) and (waits is None or at.subject.blocks(asked.operation))
-
-
-def reads_anything(at: Rig) -> bool:
-    """Tell whether the subject has the read of the exercise, a call that takes its place, or a status."""
-    proof, rng = protocols()[at.protocol].proof, random.Random(0)
-    asked = [
-        exercise(at).read(rng),
-        *(Asked(operation=one.operation, inputs=one.made(rng)) for one in proof.unreachable),
-    ]
-    return any(_is_read(at, one) for one in asked)
 
 
 def some_write(run: Repetition, at: Rig) -> Asked | None:

@@ -10,7 +10,8 @@ from ..protocols.protocol import OtProtocol
 
 __all__ = ["Again", "AskedFor"]
 
-_KEPT = 1000
+_KEPT, _LONGEST = 1000, 10_000
+"""Requests that are kept, and the most characters of one."""
 
 _WHEN_AND_HOW = {"seq", "t_ns", "connection", "dup", "packet_id", "answers", "client_id", "session", "owner", "peer"}
 _OF_ITS_TIME = {*_WHEN_AND_HOW, "process", "fault"}
@@ -44,14 +45,10 @@ class AskedFor:
     def __init__(self) -> None:
         self._made: deque[_Made] = deque(maxlen=_KEPT)
 
-    def add(self, entry: JournalEntry, entries: Entries, *, label: str, item: str) -> None:
-        """Note a request with the call that asked for it.
-
-        Args:
-            entries: journal of the repetition; the next one may begin to count anew.
-        """
-        answers = [other for other in entries if other["answers"] == entry["seq"]]
-        self._made.append(_Made(entry, answers, label, item))
+    def add(self, entry: JournalEntry, answers: Entries, *, label: str, item: str) -> None:
+        """Note a request with its answers and with the call that asked for it. What is very long is not kept."""
+        if sum(len(value) for value in entry.values() if isinstance(value, str)) <= _LONGEST:
+            self._made.append(_Made(entry, answers, label, item))
 
     def again(self, entry: JournalEntry, protocol: OtProtocol, *, item: str) -> Again | None:
         """Say of a request that its protocol's own rules deliver again whose it is; None for any other."""

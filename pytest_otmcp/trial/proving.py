@@ -175,11 +175,11 @@ async def why_reachable(at: Provable, *, time_scale: float) -> str | None:
         failures = failures + 1 if _is_cut_off(reply) else 0
         if not failures:
             if reply.exchange.sent_ns - begun_ns >= _NOTICING_S * time_scale * 1e9:
-                came = (
-                    " and brings nothing, as if the device had nothing to say"
-                    if _brings_nothing(reply)
-                    else ": the answer comes from memory or from another device"
-                )
+                came = ": the answer comes from memory or from another device"
+                if _brings_nothing(reply):
+                    came = " and brings nothing, as if the device had nothing to say"
+                elif not reply.outputs:
+                    came = ": another device was asked, or none"
                 return f"the mock device at {at.device.url} is stopped, and {reply.label} still succeeds{came}; nothing was written"
             await at.pause(_PAUSE_S)
     return None
@@ -200,11 +200,11 @@ def _explained(at: Provable, failed: Sequence[_Attempt], *, known: bool) -> str:
     if told is not None:
         # An adapter that answers, while the mock sees nothing, has its answers from somewhere else, if they say anything.
         named = _named(at, failed)
-        whence = (
-            "The answer brings nothing, from wherever"
-            if _brings_nothing(told.reply) and not named
-            else f"The answer is from another device or from memory{named}"
-        )
+        whence = f"The answer is from another device or from memory{named}"
+        if _brings_nothing(told.reply) and not named:
+            whence = "The answer brings nothing, from wherever"
+        elif not (told.reply.outputs or named):
+            whence = "Another device was asked, or none"
         problem = (
             f"the adapter does not talk to {where}: {told.reply.label} succeeded, but the mock saw nothing of it, and the random "
             f"value that was set there did not come back. {whence}"

@@ -8,6 +8,7 @@ To cancel a call is advice (MCP, Cancellation): a write that is carried out once
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
 from ..core.finding import Finding
@@ -43,6 +44,9 @@ def unasked_writes(
         item: in which they are.
     """
     left = {id(call): _asked(call, protocol) for window in windows for call in window.calls}
+    answers: defaultdict[int | None, list[JournalEntry]] = defaultdict(list)
+    for entry in entries:
+        answers[entry["answers"]].append(entry)
     begun = -1
     for entry in protocol.changes(entries):
         while begun + 1 < len(windows) and entry["t_ns"] >= _begin(windows[begun + 1]):
@@ -59,7 +63,7 @@ def unasked_writes(
         cancelled = None if owner is not None else _cancelled(windows[:begun], left)
         if owner is not None:
             left[id(owner)] -= 1
-            asked_for.add(entry, entries, label=owner.reply.label, item=item)
+            asked_for.add(entry, answers[entry["seq"]], label=owner.reply.label, item=item)
         elif cancelled is not None:
             left[id(cancelled)] -= 1
             yield _carried_out(cancelled, protocol.describe(entry)), None

@@ -162,6 +162,8 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
         return structured({"success": True, "state": "connected"})
 
     async def listen(topic: str) -> Result:
+        if lie == "listens-to-nobody":
+            return structured({"success": True, "message": f"listening to {topic}"})
         if lie == "no-wildcards":
             topic = topic.rstrip("#/")
         try:
@@ -460,13 +462,17 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
 
     said: list[str] = []
     kept: list[Link] = []
+    remembered: list[dict[str, str] | None] = [None]
 
     async def received_over_the_one(topic: str, timeout: float) -> Result:
         if not (kept and kept[-1].client.is_connected()):
             kept.append(await opened())
         kept[-1].received.clear()
         kept[-1].client.subscribe(topic, 0)
-        return json_text(await asyncio.to_thread(kept[-1].next, timeout) or {})
+        message = await asyncio.to_thread(kept[-1].next, timeout)
+        if lie == "tells-the-last-one":
+            message = remembered[0] = message or remembered[0]
+        return json_text(message or {})
 
     def told(message: dict[str, str]) -> Result:
         said.append(f"{message['topic']}: {message['payload']}")
@@ -478,7 +484,7 @@ def mqtt_wait(lie: str | None, read_only: bool) -> Shape:
         link: Link | None = None
         if lie == "looks-nowhere":
             return json_text({})
-        if lie == "keeps-its-connection":
+        if lie in ("keeps-its-connection", "tells-the-last-one"):
             return await received_over_the_one(topic, timeout)
         try:
             link = await opened()

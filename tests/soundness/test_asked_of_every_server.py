@@ -128,11 +128,18 @@ def test_an_empty_list_in_an_outage_is_not_told_as_a_value_from_memory(
 
 
 @pytest.mark.long
-def test_silence_over_a_connection_whose_end_has_vanished_is_no_success(judge_foreign: Judge) -> None:
-    described = RESULT, f"{RESULT} | [?topic]"
-    results = judge_foreign(
-        "mqtt-wait", lie="keeps-its-connection", tasks="REC-003.mqtt REC-005.mqtt", described=described
+def test_a_success_that_says_nothing_is_not_told_as_a_value_from_memory(judge_foreign: Judge) -> None:
+    results = judge_foreign("mqtt-connect", lie="listens-to-nobody", tasks="WR-003.mqtt")
+    assert "that was set there did not come back. Another device was asked, or none; nothing was written" in words(
+        results
     )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("lie", ["keeps-its-connection", "tells-the-last-one"])
+def test_what_is_told_over_a_connection_whose_end_has_vanished_is_no_success(judge_foreign: Judge, lie: str) -> None:
+    described = RESULT, f"{RESULT} | [?topic]"
+    results = judge_foreign("mqtt-wait", lie=lie, tasks="REC-003.mqtt REC-005.mqtt", described=described)
     # The next item gets a session of its own.
     assert failing(results) == {"REC-003.mqtt"}, words(results)
     assert "it claims success, and the device answered nothing: its end of the connection has vanished" in words(
