@@ -150,7 +150,7 @@ BY_KIT_ALONE = (
     "expected 'bind' tables",
     "has a function for this operation as well",
     "there is no such file",
-    ".isolation.write: ",
+    "expected TOPIC=PAYLOAD",
     "cannot be imported",
     "is not a directory",
     "the environment variable NOT_SET_ANYWHERE is not set",
