@@ -1,4 +1,4 @@
-"""What an adapter does to the machine on which it is judged, and what the machine does to the kit."""
+"""What an adapter without walls does to the machine on which it is judged, and what the machine does to the kit."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def attacked(repository: Repository, kind: str, *options: str, tmpdir: str | Non
     if tmpdir is not None:
         environment["TMPDIR"] = tmpdir
     done = subprocess.run(
-        repository.command(*(options or SUITE)),
+        repository.command(*(options or SUITE), "--otmcp-isolation=off"),
         cwd=repository.root,
         env=environment,
         capture_output=True,

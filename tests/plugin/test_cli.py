@@ -324,7 +324,7 @@ def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
 def concluded(record: dict[str, Any] | None, ended: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> int:
     """Return the exit code of a certification whose suite left this record."""
 
-    def suite(_subject: Path | None, _reps: int, out: Path) -> int:
+    def suite(_subject: Path | None, _reps: int, out: Path, _isolation: str) -> int:
         if record is not None:
             store(out / "run.json", record)
         return ended
