@@ -61,7 +61,7 @@ def test_kit_keeper_and_devices_keep_their_memory_and_environment_to_themselves(
     lines = "\n".join(line for line, *_ in others)
     # The kit, the keeper and the watcher, the launcher and the device.
     assert "-m pytest " in lines
-    assert lines.count("keeper.py") == 2
+    assert lines.count("session.keeper import main") == 2
     assert lines.count("pytest_otmcp.mocks modbus") == 2
     assert [entry for entry in others if entry[1] or entry[2]] == []
 
