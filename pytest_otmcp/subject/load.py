@@ -159,23 +159,20 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
         bounds=Bounds.of_record(table[BOUNDED]) if BOUNDED in table else None,
         times=Times.of_record(table[RETIMED]) if RETIMED in table else None,
         ready=_ready(table, key, answering),
-        openings=_openings(table["isolation"], f"{key}.isolation", path.parent, run=run),
+        openings=_openings(table["isolation"], path.parent),
     )
 
 
-def _openings(table: Mapping[str, Any], key: str, directory: Path, *, run: bool) -> Openings:
+def _openings(table: Mapping[str, Any], directory: Path) -> Openings:
     def paths(name: str) -> tuple[Path, ...]:
         return tuple(Path(os.path.abspath(directory / entry)) for entry in table.get(name, ()))
 
-    writes = paths("write")
-    if run and (missing := [path for path in writes if not path.exists()]):
-        raise Refusal(f"{key}.write", f"{missing[0]} is not there")
     return Openings(
         why_outside=f"the adapter needs the network of the machine: {table['reason']}"
         if table.get("network") == "host"
         else "",
         reads=paths("read"),
-        writes=writes,
+        writes=paths("write"),
     )
 
 

@@ -300,6 +300,9 @@ class AdapterUnderTest:
     def _walls(self) -> Walls | None:
         if self.device.walls is None or self._work is None:
             return None
+        for path in self.adapter.openings.writes:
+            if not path.exists():
+                raise SubjectError("cannot_start", f"isolation.write in the subject file: {path} is not there")
         lines = [endpoint.path for endpoint in self.device.endpoints.values() if endpoint.kind == "pty"]
         return self.device.walls.open_to(
             reads=(*lines, *map(str, self.adapter.openings.reads)),

@@ -1,4 +1,4 @@
-"""What an adapter does to the machine on which it is judged, and what the machine does to the kit."""
+"""What an adapter without walls does to the machine on which it is judged, and what the machine does to the kit."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def attacked(repository: Repository, kind: str, *options: str, tmpdir: str | Non
     if tmpdir is not None:
         environment["TMPDIR"] = tmpdir
     done = subprocess.run(
-        repository.command(*(options or SUITE)),
+        repository.command(*(options or SUITE), "--otmcp-isolation=off"),
         cwd=repository.root,
         env=environment,
         capture_output=True,
@@ -61,7 +61,7 @@ def test_kit_keeper_and_devices_keep_their_memory_and_environment_to_themselves(
     lines = "\n".join(line for line, *_ in others)
     # The kit, the keeper and the watcher, the launcher and the device.
     assert "-m pytest " in lines
-    assert lines.count("keeper.py") == 2
+    assert lines.count("session.keeper import main") == 2
     assert lines.count("pytest_otmcp.mocks modbus") == 2
     assert [entry for entry in others if entry[1] or entry[2]] == []
 

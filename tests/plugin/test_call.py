@@ -103,7 +103,7 @@ def test_nothing_is_written_by_an_adapter_that_is_not_at_the_mock(
     try:
         loop.run(plant.launch())
         (here / "otmcp.toml").write_text(MODBUS.replace("{port}", str(plant.port)))
-        code, shown, error = called(capsys, "write_holding", "address=1", "value=999")
+        code, shown, error = called(capsys, "--isolation=off", "write_holding", "address=1", "value=999")
         assert (code, shown) == (1, "")
         assert "the adapter does not talk to the mock device" in error
         assert "nothing was written" in error

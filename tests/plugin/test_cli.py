@@ -327,7 +327,7 @@ def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
 def concluded(record: dict[str, Any] | None, ended: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> int:
     """Return the exit code of a certification whose suite left this record."""
 
-    def suite(_subject: Path | None, _reps: int, out: Path, _challenge: str | None) -> int:
+    def suite(_subject: Path | None, _args: object, out: Path) -> int:
         if record is not None:
             store(out / "run.json", record)
         return ended

@@ -107,17 +107,17 @@ def otmcp(tmp_path: Path) -> Otmcp:
     return run
 
 
-Proposed = Callable[[str, str, str], tuple[str, Adapter]]
+Proposed = Callable[..., tuple[str, Adapter]]
 
 
 @pytest.fixture
 def proposed(otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart) -> Proposed:
     """Return what ``otmcp init`` prints about a script, and the adapter that it describes; the script is told host and port by variables."""
 
-    def run(script: str, protocol: str, prefix: str) -> tuple[str, Adapter]:
+    def run(script: str, protocol: str, prefix: str, *options: str) -> tuple[str, Adapter]:
         (tmp_path / "adapter.py").write_text(script, encoding="utf-8")
         places = ("--env", f"{prefix}_HOST={{host}}", "--env", f"{prefix}_PORT={{port}}")
-        done = otmcp("init", "--protocol", protocol, *places, "--", *warm_start.python, "adapter.py")
+        done = otmcp("init", *options, "--protocol", protocol, *places, "--", *warm_start.python, "adapter.py")
         assert done.returncode == 0, done.stderr
         return done.stdout, load_subject(tmp_path / "otmcp.toml").adapters[protocol]
 
@@ -308,7 +308,8 @@ server.run()
 def test_tools_of_another_vocabulary_are_proposed_with_the_effect_that_the_device_saw(
     proposed: Proposed, tmp_path: Path
 ) -> None:
-    _, adapter = proposed(LAMP, "mqtt", "MQTT")
+    # What the adapter notes in its folder would be gone with it behind walls.
+    _, adapter = proposed(LAMP, "mqtt", "MQTT", "--isolation=off")
     found = {binding.tool: binding.command for binding in adapter.operations["publish"]}
     # What tells the device nothing, or two things at once, is called once; what acts elsewhere, or on the adapter itself, never.
     assert (tmp_path / "noted").read_text() == "said "
@@ -450,7 +451,8 @@ def test_an_old_server_is_described_beside_another_adapter(otmcp: Otmcp, tmp_pat
 def test_a_server_that_waits_for_the_older_handshake_is_told_by_an_option(otmcp: Otmcp, tmp_path: Path) -> None:
     (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
     address = ("--protocol", "modbus", "--file", "address={host} {port}")
-    done = otmcp("init", *address, "--era", "legacy", "--", sys.executable, "old.py", "{work}/address", "waits")
+    launch = ("--era", "legacy", "--isolation=off", "--", sys.executable, "old.py", "{work}/address", "waits")
+    done = otmcp("init", *address, *launch)
     assert done.returncode == 0, done.stderr
     assert "read_holding    read_holding_registers (proven" in done.stdout
     assert load_subject(tmp_path / "otmcp.toml").adapters["modbus"].era == "legacy"
@@ -481,7 +483,7 @@ arguments = {{ address = "$address", count = "$count" }}
 result = {{ values = "registers" }}
 '''
     (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
-    done = otmcp("doctor")
+    done = otmcp("doctor", "--isolation=off")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "old 1.9.4, MCP 2024-11-05, 1 tool" in done.stdout
     assert "a random value went between the mock device and the adapter: it talks to the mock" in done.stdout

@@ -29,7 +29,7 @@ from pytest_otmcp.errors import UsageError
 from pytest_otmcp.plugin.options import read_settings
 from pytest_otmcp.soundness.warm_start import WarmStart
 
-from .vendor import PATIENCE_S, WAITING, Outcome, Repository, port_of
+from .vendor import OUTSIDE, PATIENCE_S, WAITING, Outcome, Repository, port_of
 
 SUITE = ("--pyargs", "pytest_otmcp.conformance")
 HONEST = Path(__file__).parents[1] / "soundness" / "honest" / "adapter.py"
@@ -196,7 +196,8 @@ def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_runnin
     repository.write(
         silent_py=SILENT,
         otmcp_toml='[subject]\nname = "silent"\nversion = "1"\n[adapter.modbus]\n'
-        f'command = ["{{python}}", "{{dir}}/silent.py", "{port_of(waiting)}"]\nunclaimed = {{ guard = "says nothing" }}\n',
+        f'command = ["{{python}}", "{{dir}}/silent.py", "{port_of(waiting)}"]\nunclaimed = {{ guard = "says nothing" }}\n'
+        f"{OUTSIDE}",
     )
     with started(repository, "--otmcp-reps=1") as process:
         connection, _ = waiting.accept()
@@ -231,7 +232,7 @@ def test_an_http_adapter_with_writes_enabled_does_not_outlive_a_run_that_is_ende
     repository: Repository, waiting: socket.socket, ending: str
 ) -> None:
     command = [sys.executable, str(WAITING), "write_register", "2", port_of(waiting)]
-    repository.write(otmcp_toml=HTTP.format(command=json.dumps(command)))
+    repository.write(otmcp_toml=HTTP.format(command=json.dumps(command)) + OUTSIDE)
     with started(repository, "--otmcp-reps=3", "-k", "normal and M3") as process:
         connection, _ = waiting.accept()
         with connection:

@@ -15,13 +15,16 @@ from pytest_otmcp.record import load
 from pytest_otmcp.soundness.warm_start import WarmStart
 from tests.reference_text import reference_text
 
-__all__ = ["PATIENCE_S", "WAITING", "Outcome", "Repository", "port_of"]
+__all__ = ["OUTSIDE", "PATIENCE_S", "WAITING", "Outcome", "Repository", "port_of"]
 
 PATIENCE_S = 120.0
 """The longest wait for an event that must come."""
 
 WAITING = Path(__file__).with_name("waiting.py")
 """A Modbus adapter that waits in the middle of a call."""
+
+OUTSIDE = 'isolation = { network = "host", reason = "it waits until the test lets it go on" }\n'
+"""A line of a subject file for an adapter that connects to the test."""
 
 _DEFECTIVE = Path(__file__).parents[1] / "soundness" / "defective.py"
 _UNDRAWN = Path(__file__).parent / "undrawn"
@@ -101,7 +104,7 @@ class Repository:
             more: a text to append to the file.
         """
         command = json.dumps([*self._warm_start.python, str(program), *(arguments or ("none",))])
-        self.write(otmcp_toml=_ADAPTER.format(command=command) + more)
+        self.write(otmcp_toml=_ADAPTER.format(command=command) + (OUTSIDE if program == WAITING else "") + more)
 
     def reference_subject(self) -> None:
         """Write an ``otmcp.toml`` for the reference adapters that every run has."""

@@ -299,6 +299,10 @@ REFUSED = {
         "adapter.modbus.unclaimed.guards: unknown key; did you mean 'guard'?",
     ),
     "no reason": (LAUNCH + 'unclaimed = { guard = " " }\n', "adapter.modbus.unclaimed.guard: expected the reason"),
+    "network of the machine without a reason": (
+        LAUNCH + 'isolation = { network = "host" }\n',
+        "adapter.modbus.isolation: network = 'host' needs a 'reason', which reports and certificates show",
+    ),
     "url without http": (LAUNCH + 'url = "http://127.0.0.1:1/"\n', 'only an adapter with transport = "http"'),
     "http without url": (
         LAUNCH + 'transport = "http"\n',

@@ -151,6 +151,7 @@ BY_KIT_ALONE = (
     "has a function for this operation as well",
     "there is no such file",
     "is not there",
+    "expected TOPIC=PAYLOAD",
     "cannot be imported",
     "is not a directory",
     "the environment variable NOT_SET_ANYWHERE is not set",

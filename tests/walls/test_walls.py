@@ -16,7 +16,7 @@ import pytest
 
 from pytest_otmcp.core.errors import UsageError
 from pytest_otmcp.core.walls import OFF, REQUIRE
-from pytest_otmcp.session.isolation import Isolation
+from pytest_otmcp.session.isolation import Isolation, Walls
 from pytest_otmcp.session.process import SubjectProcess
 
 from .outside import Outside
@@ -81,15 +81,19 @@ def seen(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 async def _intrude(isolation: Isolation, command: list[str], cwd: Path, work: Path) -> dict[str, bool]:
-    said: asyncio.Queue[bytes] = asyncio.Queue()
     walls = isolation.walls()
+    return await _start(None if walls is None else walls.open_to(reads=(), writes=(str(work),)), command, cwd)
+
+
+async def _start(walls: Walls | None, command: list[str], cwd: Path) -> dict[str, bool]:
+    said: asyncio.Queue[bytes] = asyncio.Queue()
     process = await SubjectProcess.start(
         command,
         env={"PATH": os.environ["PATH"], "HOME": os.environ["HOME"]},
         cwd=cwd,
         on_line=lambda now, line: said.put_nowait(line),
         on_overflow=lambda now: None,
-        walls=None if walls is None else walls.open_to(reads=(), writes=(str(work),)),
+        walls=walls,
     )
     worked: dict[str, bool] = json.loads(await said.get())
     await process.stop(grace_s=GRACE_S)
@@ -152,6 +156,27 @@ def test_a_keeper_that_was_killed_has_a_successor_with_the_same_walls(tmp_path: 
         with isolation.socket(socket.SOCK_STREAM) as made, pytest.raises(ConnectionRefusedError):
             made.connect(outside.tcp.getsockname())
         assert outside.came == {}
+    finally:
+        outside.close()
+        isolation.close()
+
+
+def test_what_is_opened_can_be_reached_and_nothing_else(tmp_path: Path) -> None:
+    isolation = isolation_or_skip()
+    outside = Outside(HERE)
+    written = tmp_path / "written"
+    written.mkdir()
+    target = {**outside.addresses(), "file": str(written / "file"), "work": str(tmp_path / "work"), "breed": 0}
+    walls = isolation.walls(outside="it needs the network")
+    assert walls is not None
+    opened = walls.open_to(reads=[outside.paths["path"]], writes=[str(written)])
+    try:
+        worked = asyncio.run(_start(opened, [sys.executable, str(INTRUDER), json.dumps(target)], tmp_path))
+        assert set(outside.came) == {"tcp", "udp", "abstract", "path"}
+        assert (written / "file").exists()
+        assert not any(worked[attempt] for attempt in ("signal", "secret", "privileges"))
+        assert not (tmp_path / "work").exists()
+        assert isolation.account() == {"network": "it needs the network", "processes": None, "files": None}
     finally:
         outside.close()
         isolation.close()
