@@ -7,6 +7,7 @@ Exit codes are those of :class:`pytest_otmcp.core.verdict.ExitCode`. Every error
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import sys
@@ -20,7 +21,7 @@ from ..core.exhaustion import exhausted
 from ..core.text import folded, marked, one_line
 from ..core.verdict import ExitCode
 
-__all__ = ["Refusal", "cut", "main", "show", "tell"]
+__all__ = ["Refusal", "add_json", "cut", "main", "show", "show_json", "tell"]
 
 _COMMANDS = ("init", "doctor", "call", "certify", "verify", "judge", "explain", "report", "mock", "self-check", "docs")
 _LONGEST = 2000
@@ -64,6 +65,16 @@ def show(text: str, stream: TextIO | None = None) -> None:
         width = shutil.get_terminal_size().columns
         text = "\n".join(part for line in text.splitlines() for part in folded(line, width))
     print(text, file=stream, flush=True)
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Declare the option of a command whose result a program can read."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def show_json(document: object) -> None:
+    """Print a result for a program: one JSON value in ASCII, in which no word of an adapter can move the cursor."""
+    print(json.dumps(document, indent=1, default=str), flush=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

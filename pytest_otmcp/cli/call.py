@@ -17,7 +17,7 @@ from ..protocols.journal import judged
 from ..protocols.protocol import LAUNCHES
 from ..protocols.registry import protocols
 from ..subject.model import READ_WRITE, Function, placeholders
-from . import Refusal, tell
+from . import Refusal, add_json, show_json, tell
 from .doctor import named_or_here
 
 if TYPE_CHECKING:
@@ -62,6 +62,7 @@ def add_parser(subparsers: Any) -> None:
         "operation", metavar="OPERATION", help="an operation of the protocol, such as read, or a named command"
     )
     parser.add_argument("inputs", metavar="KEY=VALUE", nargs="*", help="its inputs")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -93,6 +94,9 @@ def run(args: argparse.Namespace) -> int:
         raise Refusal(f"{adapter.protocol} ('{doctor}' may know why): {failure}", quotes=True) from None
     finally:
         loop.close()
+    if args.json:
+        show_json(_document(reply, entries, inputs))
+        return 0 if reply.success and not reply.faulty else 1
     for line in _shown(reply, entries, inputs, shutil.get_terminal_size(_FALLBACK).columns):
         tell(line)
     return 0 if reply.success and not reply.faulty else 1
@@ -294,6 +298,29 @@ def _shown(reply: Reply, entries: Sequence[JournalEntry], inputs: Mapping[str, o
         yield f"device: it saw {changed or 'no'} request{'' if changed == 1 else 's'} that change{'s' if changed == 1 else ''} its state"
     yield from _wrapped("request frame", _frame(reply.exchange.request), width)
     yield from _wrapped("response frame", _frame(reply.exchange.response), width)
+
+
+def _document(reply: Reply, entries: Sequence[JournalEntry], inputs: Mapping[str, object]) -> dict[str, object]:
+    """Return what a program reads; times are milliseconds, frames are text."""
+    frames = {"request": reply.exchange.request, "response": reply.exchange.response}
+    return {
+        "protocol": reply.adapter,
+        "variant": reply.variant,
+        "operation": reply.operation,
+        "inputs": inputs,
+        "tool": reply.tool,
+        "arguments": reply.arguments,
+        "success": reply.success,
+        "error_code": reply.error_code,
+        "outputs": reply.outputs,
+        "faults": [fault.message for fault in reply.faults],
+        "envelope": reply.envelope,
+        "latency_ms": reply.latency_ms,
+        "frames": {
+            name: None if frame is None else frame.decode("utf-8", "backslashreplace") for name, frame in frames.items()
+        },
+        "journal": entries,
+    }
 
 
 def _frame(frame: bytes | None) -> str:

@@ -8,6 +8,7 @@ directory, without conftest files, and without any plugin but pytest's and the k
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import secrets
@@ -19,17 +20,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import KitError, UsageError
 from ..core.matrix import SUITES
 from ..core.verdict import ExitCode, Status, decide, exit_code
 from . import Refusal, show, tell
 
+if TYPE_CHECKING:
+    from ..record.schema import Run
+
 __all__ = ["add_parser", "run"]
 
 _DEFAULT_OUT = Path("reports", "certificate")
-_OURS = ("run.json", "certificate.json", "certificate.json.sig", "badge.json", "badge.svg")
+_OURS = ("run.json", "certificate.json", "certificate.json.sig", "certificate.html", "badge.json", "badge.svg")
 """Files of an earlier certification, which must not be there when this one fails."""
 
 _BENDING = ("PYTHONOPTIMIZE", "PYTHONWARNINGS", "PYTHONSTARTUP", "PYTHONINSPECT")
@@ -99,10 +103,12 @@ def run(args: argparse.Namespace) -> int:
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     tell(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})")
-    code = _conclude(out, _run_suite(file, args.reps, out))
+    record, statement = _concluded(out, _run_suite(file, args.reps, out))
+    _write(out, statement)
     if args.sign is not None:
         tell(f"{sign(out / 'certificate.json', args.sign).name} is the signature of {args.sign}")
-    return code
+    _write_pages(out, record, statement, signed=args.sign is not None)
+    return ExitCode.CONFORMANT
 
 
 def _subject_file(given: Path | None) -> Path | None:
@@ -178,8 +184,8 @@ def _interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _conclude(out: Path, ended: int) -> int:
-    """Write the certificate, or say why there is none."""
+def _concluded(out: Path, ended: int) -> tuple[Run, dict[str, Any]]:
+    """Return the record and its certificate, or say why there is none."""
     from ..certificate.eligibility import objections
     from ..certificate.statement import certificate
     from ..record.condensed import condensed
@@ -201,8 +207,7 @@ def _conclude(out: Path, ended: int) -> int:
         statuses = {item["id"]: Status(item["status"]) for item in record["items"]}
         code = exit_code(decide(statuses, tasks), statuses=statuses.values())
         raise Refusal(f"no certificate: {'; '.join(reasons)}", max(code, ExitCode.NOT_CONFORMANT))
-    _write(out, certificate(record, sha256, tasks))
-    return ExitCode.CONFORMANT
+    return record, certificate(record, sha256, tasks)
 
 
 def _write(out: Path, statement: dict[str, Any]) -> None:
@@ -233,3 +238,19 @@ def _write(out: Path, statement: dict[str, Any]) -> None:
     show(f"{told['applied']['items']} of {told['applied']['of']} items applied")
     show(told["level"]["why"])
     show(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")
+
+
+def _write_pages(out: Path, record: Run, statement: dict[str, Any], *, signed: bool) -> None:
+    """Write the certificate for people, and the report again, which names it."""
+    from ..report.certificate_page import certificate_page
+    from ..report.html import page
+
+    sha256 = hashlib.sha256((out / "certificate.json").read_bytes()).hexdigest()
+    pages = {
+        "certificate.html": certificate_page(statement, sha256, signed=signed),
+        "report.html": page(record, certificate="certificate.html"),
+    }
+    for name, text in pages.items():
+        (out / name).unlink(missing_ok=True)
+        (out / name).write_text(text, encoding="utf-8", newline="\n")
+    show(f"{out / 'certificate.html'} is the certificate on a page to print")

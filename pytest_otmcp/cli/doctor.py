@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +14,11 @@ from ..core.errors import SubjectError, UsageError
 from ..core.text import counted
 from ..protocols.journal import judged
 from ..protocols.registry import protocols
-from . import show, tell
+from . import add_json, show, show_json, tell
 from .init import parse_environment, recognise_protocol
 
 if TYPE_CHECKING:
+    from ..session.loop import LoopThread
     from ..subject.model import Adapter
     from ..trial.adapter_under_test import AdapterUnderTest
 
@@ -52,7 +54,26 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--url", help="endpoint of COMMAND, when it serves streamable HTTP")
     parser.add_argument("command", metavar="COMMAND", nargs="*", help="how an adapter is started, after --")
+    add_json(parser)
     parser.set_defaults(run=run)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Examined:
+    """What was found of one adapter.
+
+    Attributes:
+        well: it starts and fits its description.
+        said: what was found, in sentences.
+        not_bound: facets that the subject file claims by its silence, and that nothing in it exercises; None where it describes no
+            operation.
+    """
+
+    protocol: str
+    command: list[str]
+    well: bool
+    said: list[str]
+    not_bound: list[str] | None
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,24 +81,55 @@ def run(args: argparse.Namespace) -> int:
     from ..session.loop import LoopThread
 
     loop = LoopThread()
-    healthy = described = True
     try:
-        for adapter in _adapters(args):
-            tell(f"{protocols()[adapter.protocol].name}: {' '.join(adapter.variants['rw'].command)}")
-            for variant in _different(adapter):
-                healthy &= loop.run(_examine(adapter, variant))
-            described &= bool(adapter.operations)
+        found = [_examined(loop, adapter, quiet=args.json) for adapter in _adapters(args)]
     finally:
         loop.close()
-    if healthy and described:
-        show(f"all is well, next: {_next(args)}")
-    return 0 if healthy else 1
+    well = all(one.well for one in found)
+    if args.json:
+        show_json([asdict(one) for one in found])
+    elif well and all(one.not_bound is not None for one in found):
+        gaps = any(one.not_bound for one in found)
+        state = "what is bound is well; bind the rest or declare it as unclaimed, then" if gaps else "all is well, next"
+        show(f"{state}: {_next(args)}")
+    return 0 if well else 1
+
+
+def _examined(loop: LoopThread, adapter: Adapter, *, quiet: bool) -> Examined:
+    """Examine the launches of an adapter; say at once what is found, unless this is to be quiet."""
+    said: list[str] = []
+
+    def say(line: str) -> None:
+        said.append(line)
+        if not quiet:
+            tell(f"  {line}")
+
+    command = [*adapter.variants["rw"].command]
+    if not quiet:
+        tell(f"{protocols()[adapter.protocol].name}: {' '.join(command)}")
+    well = True
+    for variant in _different(adapter):
+        well &= loop.run(_examine(adapter, variant, say))
+    gaps = _gaps(adapter) if adapter.operations else None
+    if gaps:
+        say(f"not bound, and not declared as unclaimed: {', '.join(gaps)}; items that need them cannot be tested")
+    return Examined(protocol=adapter.protocol, command=command, well=well, said=said, not_bound=gaps)
 
 
 def _different(adapter: Adapter) -> list[str]:
     """Return the variants to examine: those that are started in the same way behave in the same way, so one of them is enough."""
     known = list(adapter.variants.items())
     return [name for index, (name, one) in enumerate(known) if one not in (other for _, other in known[:index])]
+
+
+def _gaps(adapter: Adapter) -> list[str]:
+    """Return the facets that the subject file claims by its silence, and that nothing in it exercises."""
+    known = protocols()[adapter.protocol]
+    return [
+        name
+        for name in known.facets
+        if not known.is_voluntary(name) and name not in adapter.unclaimed and adapter.why_not_testable(name) is not None
+    ]
 
 
 def _next(args: argparse.Namespace) -> str:
@@ -94,7 +146,7 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
         if args.subject is not None:
             raise UsageError("give either --subject or a COMMAND")
         env = parse_environment(args.env)
-        protocol = args.protocol or recognise_protocol([*args.command, *env, *env.values()])
+        protocol = args.protocol or recognise_protocol(args.command, env)
         yield describe_launch(
             protocol,
             args.command,
@@ -108,7 +160,7 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
         return
     source = named_or_here(args.subject)
     yield from select(source).subject.adapters.values()
-    if source is None:
+    if source is None and not args.json:
         # Those above are the adapters that every run has. Further ones may lack their library, which is no illness.
         for protocol in protocols().values():
             if missing := missing_library(protocol):
@@ -123,7 +175,7 @@ def named_or_here(given: Path | None) -> Path | None:
     return given or _SUBJECT
 
 
-async def _examine(adapter: Adapter, variant: str) -> bool:
+async def _examine(adapter: Adapter, variant: str, say: Callable[[str], None]) -> bool:
     """Start one variant and say what is found; tell whether it is well."""
     from ..onboarding.known_causes import find_advice
     from ..onboarding.pack import load_pack
@@ -143,42 +195,40 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         session = under_test.session
         assert session is not None
         took = (session.ready_ns - session.spawned_ns) / 1e9
-        tell(
-            f"  {variant}: starts in {took:.1f} s: {' '.join(filter(None, (session.server_name, session.server_version)))}, "
+        say(
+            f"{variant}: starts in {took:.1f} s: {' '.join(filter(None, (session.server_name, session.server_version)))}, "
             f"MCP {session.protocol_version}, {counted(len(session.tools), 'tool')}"
         )
         if under_test.legacy:
-            tell(
-                f"  {variant}: ends at the first request of today's handshake, or never answers it, so it was given that of 2025: say era = 'legacy'"
+            say(
+                f"{variant}: ends at the first request of today's handshake, or never answers it, so it was given that of 2025: say era = 'legacy'"
             )
         count, first = session.stray_output()
         if count:
-            tell(f"  {variant}: {counted(count, 'line')} on stdout that no MCP message is, the first: {first[0]!r}")
+            say(f"{variant}: {counted(count, 'line')} on stdout that no MCP message is, the first: {first[0]!r}")
         faults = check_bindings(adapter, session.tools) if variant == READ_WRITE else []
         for fault in faults:
-            tell(f"  {variant}: {fault}")
+            say(f"{variant}: {fault}")
         if faults:
             return False
         if not adapter.operations:
             # Nobody has said how it is asked, so a connection is all that can be looked for, and none may be due yet.
             connected = bool(judged((await device.journal(0)).entries))
-            tell(
-                f"  {variant}: the device {'has seen a connection' if connected else 'has not been asked anything yet'}"
-            )
-            return _keeps_secrets(under_test, variant)
+            say(f"{variant}: the device {'has seen a connection' if connected else 'has not been asked anything yet'}")
+            return _keeps_secrets(under_test, variant, say)
         problem = await prove_session(under_test)
-        tell(
-            f"  {variant}: {problem or 'a random value went between the mock device and the adapter: it talks to the mock'}"
+        say(
+            f"{variant}: {problem or 'a random value went between the mock device and the adapter: it talks to the mock'}"
         )
-        return _keeps_secrets(under_test, variant) and problem is None
+        return _keeps_secrets(under_test, variant, say) and problem is None
     except SubjectError as failure:
-        tell(f"  {variant}: {failure}")
+        say(f"{variant}: {failure}")
         known = protocols()[adapter.protocol].onboarding is not None
         causes = load_pack(adapter.protocol).causes if known else ()
         for advice in find_advice(str(failure), causes):
-            tell(f"  -> {advice.cause} {advice.remedy}")
+            say(f"-> {advice.cause} {advice.remedy}")
         if shutil.which(program) is not None:
-            tell(f"  ({program} is {shutil.which(program)})")
+            say(f"({program} is {shutil.which(program)})")
         return False
     finally:
         if under_test is not None:
@@ -186,9 +236,9 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         await device.close()
 
 
-def _keeps_secrets(under_test: AdapterUnderTest, variant: str) -> bool:
+def _keeps_secrets(under_test: AdapterUnderTest, variant: str, say: Callable[[str], None]) -> bool:
     """Say which secrets the adapter has told; tell whether it has told none."""
     leaks = under_test.take_leaks()
     for leak in leaks:
-        tell(f"  {variant}: {leak.place} has the value of {leak.variable}, {leak.form}")
+        say(f"{variant}: {leak.place} has the value of {leak.variable}, {leak.form}")
     return not leaks

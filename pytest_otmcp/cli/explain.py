@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import shutil
 import textwrap
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import UsageError
+from . import add_json, show_json
 
 if TYPE_CHECKING:
     from ..suite.explanations import Explained
@@ -32,6 +34,7 @@ def add_parser(subparsers: Any) -> None:
     asked = parser.add_argument("id", metavar="ID", nargs="+", help="an id as reports print it")
     # argcomplete asks an argument for its words by this attribute.
     asked.completer = _completed  # type: ignore[attr-defined]
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -57,6 +60,9 @@ def run(args: argparse.Namespace) -> int:
                 )
             )
         found += meanings
+    if args.json:
+        show_json([{**asdict(one), "parts": dict(one.parts)} for one in found])
+        return 0
     width = min(_WIDTH, shutil.get_terminal_size((_WIDTH, 0)).columns)
     print("\n\n".join("\n".join(_lines(one, width)) for one in found))
     return 0

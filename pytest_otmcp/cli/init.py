@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import SubjectError, UsageError
+from ..core.library_registry import libraries
 from ..protocols.registry import protocols
+from ..subject.imports import libraries_used
 from . import Refusal, show, tell
 
 __all__ = ["add_parser", "parse_environment", "recognise_protocol", "run"]
@@ -35,7 +37,9 @@ def add_parser(subparsers: Any) -> None:
         ),
     )
     parser.add_argument(
-        "--protocol", choices=tuple(protocols()), help="what the adapter speaks (default: seen in COMMAND)"
+        "--protocol",
+        choices=tuple(protocols()),
+        help="what the adapter speaks (default: seen in COMMAND, in --env, or in what the adapter imports)",
     )
     parser.add_argument(
         "--env", metavar="NAME=VALUE", action="append", default=[], help="environment of the adapter; may be repeated"
@@ -75,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         Refusal: the adapter cannot be started.
     """
     env, files = parse_environment(args.env), parse_environment(args.file, "--file")
-    protocol = args.protocol or recognise_protocol([*args.command, *env, *env.values()])
+    protocol = args.protocol or recognise_protocol(args.command, env)
     added_to = None if args.force else _existing(args.out, protocol)
     if not 0 < args.deadline <= 300:
         raise UsageError(f"--deadline: expected seconds above 0 and up to 300, found {args.deadline:g}")
@@ -186,15 +190,24 @@ def parse_environment(options: Sequence[str], flag: str = "--env") -> Mapping[st
     return table
 
 
-def recognise_protocol(words: Sequence[str]) -> str:
-    """Return the one protocol that is named in these words.
+def recognise_protocol(command: Sequence[str], env: Mapping[str, str]) -> str:
+    """Return the one protocol that the command and its variables name, or else the one whose library the adapter's files import.
 
     Raises:
-        UsageError: the words name no protocol, or more than one.
+        UsageError: there is none, or more than one.
     """
-    text = " ".join(words)
+    text = " ".join([*command, *env, *env.values()])
     named = [key for key, protocol in protocols().items() if protocol.recognise.search(text)]
-    if len(named) != 1:
-        what = "names no protocol" if not named else f"names {' and '.join(named)}"
-        raise UsageError(f"the command {what}; say --protocol {', '.join(protocols())}, one at a time")
-    return named[0]
+    if not named:
+        used = libraries_used(command, None)
+        named = [
+            key for key, protocol in protocols().items() if not used.keys().isdisjoint(libraries(protocol.package))
+        ]
+    match named:
+        case [protocol]:
+            return protocol
+        case []:
+            what = "the command names no protocol, and no known library of one is imported"
+        case _:
+            what = f"{' and '.join(named)}: the command or the imports of the adapter name each"
+    raise UsageError(f"{what}; add --protocol with one of: {', '.join(protocols())}")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.text import harmless
-from . import show
+from . import add_json, show, show_json
 
 __all__ = ["add_parser", "run"]
 
@@ -30,6 +30,7 @@ def add_parser(subparsers: Any) -> None:
         type=Path,
         help="directory to write to (default: that of RUN; for several, the working directory)",
     )
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -49,6 +50,9 @@ def run(args: argparse.Namespace) -> int:
     directory = given if given is not None else Path() if records[1:] else records[0].parent
     asked = {"records": list(map(str, records)), "directory": str(directory)}
     found = confined("rendering", asked, bounds, " or ".join(asked["records"]) if records[1:] else str(records[0]))
+    if args.json:
+        show_json(found)
+        return 0
     for sentence in found["said"]:
         show(harmless(sentence))
     return 0

@@ -5,16 +5,17 @@ In a run without conformance items the plugin does nothing and imports nothing h
 
 from __future__ import annotations
 
-import difflib
 import json
 import time
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from _pytest.junitxml import xml_key
 
 from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
@@ -45,10 +46,11 @@ from .fixtures.definitions import (
 )
 from .options import add_options, read_settings
 from .parallel import UNFINISHED, ended, untaken
-from .selected import refuse, required_tasks, select_adapters
-from .stash import ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
+from .selected import known_rows, refuse, required_tasks, select_adapters
+from .stash import BASELINE, ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
 
 if TYPE_CHECKING:
+    from ..report.baseline import Baseline
     from ..subject.selection import Selection
     from ..trial.task import Task
     from .controller import RunRecorder
@@ -107,7 +109,9 @@ def pytest_configure(config: pytest.Config) -> None:
         # A mistake in the ini must not prevent the user from reading how to correct it.
         return
     try:
-        config.stash[SETTINGS] = read_settings(config)
+        settings = read_settings(config)
+        config.stash[SETTINGS] = replace(settings, only=known_rows(settings.only))
+        config.stash[BASELINE] = _read_baseline(settings.baseline)
     except UsageError as error:
         refuse(error)
     default_to_suite(config)
@@ -205,7 +209,6 @@ def pytest_collection_modifyitems(
 
     with ignore_warnings():
         required = list(required_tasks(config))
-    _check_rows(config.stash[SETTINGS].only)
     tasks = _drop_unrequired_items(items, required)
     interference = config.stash[INTERFERENCE] = Interference(config)
     interference.note_collected(items)
@@ -226,27 +229,6 @@ def _drop_unrequired_items(items: list[pytest.Item], required: list[str]) -> dic
     tasks = {item: task for item, task in _shipped_tasks(items).items() if task.id in required}
     items[:] = [item for item in items if item in tasks or not is_shipped(item.path) or task_of(item) is None]
     return tasks
-
-
-def _check_rows(asked: tuple[str, ...]) -> None:
-    """End the run when there is no check of a row that was asked for."""
-    from ..suite.catalogue import all_tasks
-    from ..suite.requirements import requirements
-
-    checks = [task for task in all_tasks().values() if task.suite == REQUIREMENTS] if asked else []
-    known = {name for task in checks for name in (task.id, *task.requirements)}
-    for name in asked:
-        if name in known:
-            continue
-        if name in requirements():
-            refuse(
-                UsageError(
-                    f"--otmcp-only: {name} has no check of its own; otmcp explain {name} says where it is judged"
-                )
-            )
-        near = difflib.get_close_matches(name.upper(), sorted(known), 1)
-        hint = f"did you mean {near[0]}?" if near else "'otmcp docs checks' lists them"
-        refuse(UsageError(f"--otmcp-only: there is no row or check {name!r}; {hint}"))
 
 
 def _mark_items(tasks: dict[pytest.Item, Task]) -> None:
@@ -489,6 +471,24 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         with _writable(recorder):
             recorder.finish(interrupted=_interruption(exitstatus, endings))
     session.exitstatus = _exit_status(exitstatus, recorder, session.testsfailed)
+    with ignore_warnings():
+        _tell_junit(config, recorder)
+
+
+def _tell_junit(config: pytest.Config, recorder: RunRecorder) -> None:
+    """Give a JUnit file the verdict, and the level of each protocol of a run with the requirement suite."""
+    file = config.stash.get(xml_key, None)
+    if file is None or not recorder.statuses:
+        return
+    from ..record.condensed import condensed
+    from ..record.reader import open_record
+    from ..report.verdict_file import levels
+
+    with open_record(recorder.path, allow_incomplete=True) as stored:
+        run = condensed(stored)
+    file.add_global_property("otmcp_verdict", str(recorder.verdict))
+    for protocol, level in levels(run).items():
+        file.add_global_property(f"otmcp_level_{protocol}", level or "none")
 
 
 def _take_from_workers(config: pytest.Config, recorder: RunRecorder, nodes: list[Any]) -> None:
@@ -533,6 +533,23 @@ def pytest_testnodedown(node: Any, error: object) -> None:
         pytest.exit(one_line(sentence), returncode=code)
 
 
+def _read_baseline(path: Path | None) -> Baseline | None:
+    """Read the record to compare with; this run may write its own to the same place.
+
+    Raises:
+        UsageError: it is no record that can be believed.
+    """
+    if path is None:
+        return None
+    from ..record.reader import RecordError
+    from ..report.baseline import read_baseline
+
+    try:
+        return read_baseline(path)
+    except RecordError as error:
+        raise UsageError(f"--otmcp-baseline: {error}") from None
+
+
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
     recorder = config.stash.get(RECORDER, None)
     # A run that was refused has the same exit code as one that was interrupted.
@@ -557,4 +574,4 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
     from ..report.render import render
 
     with ignore_warnings():
-        render(recorder.path, terminalreporter, config.rootpath)
+        render(recorder.path, terminalreporter, config.rootpath, config.stash[BASELINE])

@@ -38,6 +38,10 @@ _OPTIONS = {
         "further protocols whose reference adapters are run as well, separated by commas, or all (default: none)",
     ),
     "report-dir": ("DIR", "directory for run record, tables and figures (default reports/latest)"),
+    "baseline": (
+        "FILE",
+        "run.json of an earlier run: the verdict says which rules are newly broken, and which were mended",
+    ),
     "seed": ("N", "seed of the values that repetitions use (default 0)"),
     "era": ("ERA", "MCP protocol era: auto or legacy (default auto)"),
     "time-scale": (
@@ -61,6 +65,7 @@ class RunSettings:
         suites: names of the suites to run, in the suite's order.
         only: rows of the catalogue, or ids of checks, to which the requirement suite is narrowed; empty for all.
         protocols: further protocols whose reference adapters are run, or ``all``.
+        baseline: record of an earlier run to compare with, or None.
         report_dir: directory of run record, tables and figures.
         seed: seed of the values that repetitions use.
         era: MCP protocol era, ``auto`` or ``legacy``.
@@ -75,6 +80,7 @@ class RunSettings:
     suites: tuple[str, ...]
     only: tuple[str, ...]
     protocols: tuple[str, ...]
+    baseline: Path | None
     report_dir: Path
     seed: int
     era: str
@@ -125,6 +131,7 @@ def read_settings(config: pytest.Config) -> RunSettings:
         suites=_read_suites(text("suite"), (REQUIREMENTS,) if only else BENCHMARK),
         only=only,
         protocols=_names(text("protocols")),
+        baseline=_existing("baseline", text("baseline"), config.invocation_params.dir),
         report_dir=_resolve_report_dir(text("report-dir"), config),
         seed=_read_whole_number("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1),
         era=_check_choice("era", text("era") or "auto", ("auto", "legacy")),
@@ -185,13 +192,17 @@ def _read_suites(value: str | None, default: tuple[str, ...]) -> tuple[str, ...]
 
 
 def _find_subject(value: str | None, root: Path, here: Path) -> Path | None:
-    if value is not None:
-        path = here / value
-        if not path.is_file():
-            raise UsageError(f"--otmcp-subject: {path}: there is no such file")
-        return path
     default = root / "otmcp.toml"
-    return default if default.is_file() else None
+    return _existing("subject", value, here) or (default if default.is_file() else None)
+
+
+def _existing(name: str, value: str | None, here: Path) -> Path | None:
+    if value is None:
+        return None
+    path = here / value
+    if not path.is_file():
+        raise UsageError(f"--otmcp-{name}: {path}: there is no such file")
+    return path
 
 
 def _resolve_report_dir(value: str | None, config: pytest.Config) -> Path:

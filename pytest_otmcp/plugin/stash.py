@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
+    from ..report.baseline import Baseline
     from ..subject.selection import Selection
     from .controller import RunRecorder
     from .endings import Endings
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from .worker import Run
 
 __all__ = [
+    "BASELINE",
     "ENDINGS",
     "INTERFERENCE",
     "PLANNED",
@@ -31,6 +33,9 @@ __all__ = [
 
 SETTINGS: pytest.StashKey[RunSettings] = pytest.StashKey()
 """On the config: the checked settings."""
+
+BASELINE: pytest.StashKey[Baseline | None] = pytest.StashKey()
+"""On the config: the earlier run that the verdict is compared with."""
 
 SELECTION: pytest.StashKey[Selection] = pytest.StashKey()
 """On the config: the adapters that the run measures, once they were asked for."""

@@ -17,6 +17,7 @@ from ..suite.levels import said as level_of
 from ..suite.requirements import catalogue
 from . import Run, applied, applies, least, tally, timing_valid
 from .applying import not_applying, nothing_asked
+from .baseline import Baseline, since
 from .causes import Cause, causes, extent
 from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
@@ -36,7 +37,9 @@ _LEAST_WIDTH = 40
 """Columns that every terminal has."""
 
 
-def summary(run: Run, width: int = 80, *, verbosity: int = 0, fold_verdict: bool = False) -> list[Line]:
+def summary(
+    run: Run, width: int = 80, *, verbosity: int = 0, fold_verdict: bool = False, baseline: Baseline | None = None
+) -> list[Line]:
     """Return what a run says at its end: a line for each suite, the causes of failures, and the verdict.
 
     Args:
@@ -45,6 +48,7 @@ def summary(run: Run, width: int = 80, *, verbosity: int = 0, fold_verdict: bool
         verbosity: as pytest counts it: from 1 on with a table for each suite and the time budget, below 0 causes and verdict
             alone, below -1 the verdict alone.
         fold_verdict: whether the verdict is wrapped as the other lines are. In a log it is one line that programs can find.
+        baseline: an earlier run; the verdict says what has changed since.
 
     Returns:
         Lines with a style: ``ok``, ``bad``, ``head`` or ``plain``.
@@ -63,7 +67,7 @@ def summary(run: Run, width: int = 80, *, verbosity: int = 0, fold_verdict: bool
         lines += time_budget(run, width)
     if verbosity >= 0:
         lines += [*_levels(run, width), *_narrowed(run, width), *_not_measured(run, width), *_strangers(run, width)]
-    return [*lines, *_verdict(run, width if fold_verdict else None)]
+    return [*lines, *_verdict(run, width if fold_verdict else None, baseline)]
 
 
 def _suites(run: Run, width: int) -> Iterator[Line]:
@@ -200,13 +204,14 @@ def _strangers(run: Run, width: int) -> Iterator[Line]:
             yield line, "plain"
 
 
-def _verdict(run: Run, width: int | None) -> Iterator[Line]:
+def _verdict(run: Run, width: int | None, baseline: Baseline | None) -> Iterator[Line]:
     footer, items = run["footer"], run["items"]
     good, planned = tally(items)
     note = f"{applied(run)}, {good}/{planned} runs passed"
     if found := len(warnings(items)):
         note += f", {counted(found, 'warning')}"
-    for told in (nothing_asked(run), footer.get("reason")):
+    changed = since(baseline, run) if baseline is not None else None
+    for told in (nothing_asked(run), footer.get("reason"), changed):
         note += f"; {told}" if told else ""
     verdict = footer.get("verdict", "INCOMPLETE")
     line_of_all = printable(f"VERDICT: {verdict} ({note})")

@@ -60,8 +60,12 @@ def write_html(run: Run, path: Path) -> None:
     path.write_text(page(run), encoding="utf-8", newline="\n")
 
 
-def page(run: Run) -> str:
-    """Return the report of a run as HTML."""
+def page(run: Run, certificate: str | None = None) -> str:
+    """Return the report of a run as HTML.
+
+    Args:
+        certificate: the name of the file beside the report that is the certificate of this run.
+    """
     verdict = run["footer"].get("verdict", "INCOMPLETE")
     good, planned = tally(run["items"])
     anchors = _anchors(run["items"])
@@ -72,6 +76,7 @@ def page(run: Run) -> str:
     return filled(
         "report.html.jinja",
         run=run,
+        certificate=certificate,
         verdict=verdict,
         tone=_TONES.get(verdict, "open"),
         sentence=_nothing_asked(run) or _SENTENCES.get(verdict, ""),

@@ -13,6 +13,7 @@ from ..core.text import one_line
 from ..record.condensed import condensed
 from ..record.reader import RecordError, open_record
 from . import Run, whole
+from .baseline import Baseline
 
 __all__ = ["NAMES", "reason", "render", "write_all"]
 
@@ -21,6 +22,7 @@ _MARKUP = {"ok": {"green": True, "bold": True}, "bad": {"red": True, "bold": Tru
 _WRITERS: Mapping[str, tuple[str, str]] = {
     "report.html": ("html", "write_html"),
     "summary.md": ("markdown", "write_markdown"),
+    "verdict.json": ("verdict_file", "write_verdict"),
     "tables": ("latex", "write_tables"),
     "figures": ("figures", "write_figures"),
 }
@@ -97,7 +99,7 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def render(path: Path, terminal: Any, root: Path) -> None:
+def render(path: Path, terminal: Any, root: Path, baseline: Baseline | None) -> None:
     """Write every report beside the record ``path``, and the summary to pytest's terminal."""
     try:
         with open_record(path, allow_incomplete=True) as stored:
@@ -114,7 +116,7 @@ def render(path: Path, terminal: Any, root: Path) -> None:
     except OSError as error:
         failed = dict.fromkeys(names, error)
     verbosity, width = terminal.config.option.verbose, terminal._tw.fullwidth
-    lines = summary(run, width, verbosity=verbosity, fold_verdict=terminal.isatty)
+    lines = summary(run, width, verbosity=verbosity, fold_verdict=terminal.isatty, baseline=baseline)
     for line, style in lines:
         terminal.write_line(line, **_MARKUP[style])
     for name, why in failed.items():

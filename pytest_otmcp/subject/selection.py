@@ -46,7 +46,7 @@ def select(source: Path | None, asked: Collection[str] = ()) -> Selection:
 
     Raises:
         UsageError: the subject file is wrong; or there is one and protocols were asked for; or there is no reference adapter for
-            a protocol that was asked for.
+            a protocol that was asked for by its name, or its library is not installed.
     """
     if source is not None:
         if asked:
@@ -58,6 +58,8 @@ def select(source: Path | None, asked: Collection[str] = ()) -> Selection:
     for key in asked:
         if key not in (ALL, *every.adapters):
             raise UsageError(f"--otmcp-protocols: {describe_unknown('protocol', key, (ALL, *every.adapters))}")
+        if key != ALL and (missing := missing_library(protocols()[key])):
+            raise UsageError(f"--otmcp-protocols: {key}: {missing}")
     wanted = {key for key in every.adapters if protocols()[key].always or key in asked or ALL in asked}
     reasons = {
         key: f"{protocols()[key].name} was not measured: {missing}"

@@ -69,7 +69,9 @@ class Explained:
 
 
 def explained(identifier: str) -> list[Explained]:
-    """Return what an id means: more than one answer where an error and a finding have the same code, none for an unknown id."""
+    """Return what an id means, whatever its case: more than one answer where an error and a finding have the same code, none for
+    an unknown id."""
+    identifier = _by_folded().get(identifier.casefold(), identifier)
     found = []
     if (task := all_tasks().get(identifier)) is not None:
         found.append(item(task))
@@ -88,8 +90,12 @@ def explained(identifier: str) -> list[Explained]:
 
 def near(identifier: str) -> list[str]:
     """Return the ids that an unknown one may have been meant for, the nearest first."""
-    folded = {name.casefold(): name for name in identifiers()}
+    folded = _by_folded()
     return [folded[name] for name in difflib.get_close_matches(identifier.casefold(), folded, 3)]
+
+
+def _by_folded() -> dict[str, str]:
+    return {name.casefold(): name for name in identifiers()}
 
 
 def identifiers() -> list[str]:

@@ -48,7 +48,7 @@ class Level(StrEnum):
 _MEANINGS = {
     Level.BRONZE: "may be connected to a plant for reading",
     Level.SILVER: "may write there while a person watches",
-    Level.GOLD: "may be used by an assistant that decides by itself",
+    Level.GOLD: "may write within a policy, audited, with a person's approval where the policy asks for it",
 }
 
 

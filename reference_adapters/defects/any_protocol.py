@@ -287,7 +287,6 @@ DEFECTS = (
         guard_after_sending("publish_message"),
         "Q3",
         "WR-004",
-        quick=True,
     ),
     defect(
         "MU-20s",

@@ -99,6 +99,5 @@ DEFECTS = (
         writes_status_and_timestamp,
         "O3 X2 X2p S6",
         "OUA-005",
-        quick=True,
     ),
 )

@@ -24,7 +24,11 @@ SECONDS = float(os.environ.get("OTMCP_SOAK_S", "15"))
 GROWTH = 8 * 1024 * 1024
 """Bytes by which a process may grow after its first calls: caches that fill, and the allocator's own arenas."""
 
-every_case = pytest.mark.parametrize("case", CASES, ids=lambda case: case.protocol)
+every_case = pytest.mark.parametrize(
+    "case",
+    [CASES[0], *(pytest.param(case, marks=pytest.mark.weekly) for case in CASES[1:])],
+    ids=lambda case: case.protocol,
+)
 
 
 def held(client: Client) -> tuple[int, int]:

@@ -103,6 +103,7 @@ def test_a_directory_with_other_files_is_refused(tmp_path: Path, capsys: pytest.
         assert capsys.readouterr().err.endswith("has other files; name a new or empty directory\n")
 
 
+@pytest.mark.long
 def test_an_earlier_copy_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "README.md").write_bytes(content("README.md"))
     assert cli.main(["docs", str(tmp_path)]) == 0

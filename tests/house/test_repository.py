@@ -103,11 +103,11 @@ def test_the_sample_is_what_the_kit_makes_of_its_record() -> None:
     assert (sample / "summary.md").read_text(encoding="utf-8") == summary(shown)
 
 
-def test_the_readme_lists_every_option_of_the_plugin() -> None:
+def test_the_documents_list_every_option_of_the_plugin() -> None:
     asked: list[str] = []
     group = SimpleNamespace(addoption=lambda name, **_: asked.append(name))
     parser = SimpleNamespace(getgroup=lambda *_, **__: group, addini=lambda *_, **__: None)
     add_options(cast(pytest.Parser, parser))
-    readme = (CHECKOUT / "README.md").read_text(encoding="utf-8")
-    assert [name for name in asked if f"| `{name}" not in readme] == []
+    page = (CHECKOUT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert [name for name in asked if f"| `{name}" not in page] == []
     assert "--otmcp-reps" in asked

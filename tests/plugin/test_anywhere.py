@@ -68,6 +68,7 @@ def test_own_tests_and_the_suite_can_be_named_together(repository: Repository, s
     assert repository.collected("tests", "--pyargs", "pytest_otmcp.conformance") == ["test_own", *suite]
 
 
+@pytest.mark.long
 def test_no_ini_keeps_anything_of_the_suite_from_being_collected(repository: Repository, suite: list[str]) -> None:
     repository.write(pytest_ini=HOSTILE_INI, conftest_py='collect_ignore_glob = ["*"]\n')
     assert repository.collected("--otmcp-reps=1", plugins="pytest_asyncio.plugin anyio") == suite

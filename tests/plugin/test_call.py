@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import pty
 import select
@@ -66,6 +67,15 @@ def test_a_read_shows_reply_frames_and_what_the_device_saw(here: Path, capsys: p
     frames = shown.partition("request frame: ")[2].replace("\n  ", "")
     assert '"method":"tools/call"' in frames
     assert '"values":[30,40]' in frames
+
+
+def test_a_program_reads_the_same_as_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "otmcp.toml").write_text(MODBUS)
+    code, shown, _ = called(capsys, "--json", "read_holding", "address=1", "count=2")
+    found = json.loads(shown)
+    assert (code, found["success"], found["outputs"], found["faults"]) == (0, True, {"values": [30, 40]}, [])
+    assert {"request", "response"} <= {entry["kind"] for entry in found["journal"]}
+    assert json.loads(found["frames"]["request"])["method"] == "tools/call"
 
 
 @pytest.mark.long

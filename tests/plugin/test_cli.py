@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -209,9 +210,9 @@ def test_a_mock_serves_until_its_input_closes_whatever_lies_in_the_directory(tmp
 
 
 def test_reports_are_made_again_without_measuring(tmp_path: Path) -> None:
-    done = otmcp("report", str(SAMPLE), "--out", "again", cwd=tmp_path)
+    done = otmcp("report", str(SAMPLE), "--out", "again", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "the reports of" in done.stdout
+    assert json.loads(done.stdout) == {"said": [f"the reports of {SAMPLE} are in again"]}
     made = {str(path.relative_to(tmp_path / "again")) for path in (tmp_path / "again").rglob("*.*")}
     assert {"tables/tab_results.tex", "figures/latency_boxplot.pdf", "report.html", "summary.md"} <= made
 
@@ -278,6 +279,7 @@ def test_who_writes_and_claims_no_guard_is_told_before_anything_runs(tmp_path: P
     assert not (tmp_path / "reports").exists()
 
 
+@pytest.mark.long
 def test_what_fails_gets_no_certificate_and_keeps_no_older_one(tmp_path: Path) -> None:
     (tmp_path / "otmcp.toml").write_text(SILENT)
     (tmp_path / "out").mkdir()
@@ -293,7 +295,8 @@ def test_what_fails_gets_no_certificate_and_keeps_no_older_one(tmp_path: Path) -
 
 
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.long
 def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
     empty_repository: Repository, waiting: socket.socket, number: signal.Signals
 ) -> None:
@@ -382,3 +385,6 @@ def test_what_is_not_claimed_is_printed_with_its_reason(
     assert "modbus: not claimed: ping (it has no such tool)" in told
     assert "mqtt" not in told
     assert {"certificate.json", "badge.json", "badge.svg"} <= set(os.listdir(tmp_path))
+    assert 'It has earned a <a href="certificate.html">certificate</a>.' in (tmp_path / "report.html").read_text()
+    digest = hashlib.sha256((tmp_path / "certificate.json").read_bytes()).hexdigest()
+    assert digest in (tmp_path / "certificate.html").read_text()

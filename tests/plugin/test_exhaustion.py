@@ -87,7 +87,7 @@ def descriptors(monkeypatch):
 """
 
 
-@pytest.mark.parametrize("parallel", [(), ("-n", "2")])
+@pytest.mark.parametrize("parallel", [(), pytest.param(("-n", "2"), marks=pytest.mark.long)])
 def test_a_run_that_cannot_even_begin_ends_in_one_sentence(
     empty_repository: Repository, parallel: tuple[str, ...]
 ) -> None:
@@ -126,6 +126,7 @@ def test_a_connection_that_the_kit_could_not_accept_makes_its_item_a_fault_of_th
     accuses_nobody(empty_repository.pytest("--otmcp-reps=1", "-k", "[M1]"))
 
 
+@pytest.mark.long
 def test_a_record_that_does_not_fit_on_the_disk_ends_the_run_in_one_sentence(empty_repository: Repository) -> None:
     # The samples of one call are smaller than the limit; the record with its header is not.
     outcome = run(empty_repository, resource.RLIMIT_FSIZE, 6_000, "--otmcp-reps=1", "-k", "[M1]")

@@ -128,6 +128,7 @@ def test_an_adapter_without_the_tool_that_its_subject_names_is_a_usage_error(rep
         assert "Traceback" not in outcome.output
 
 
+@pytest.mark.long
 def test_a_subject_file_that_claims_nothing_is_told_what_to_bind(repository: Repository) -> None:
     unclaimed = "\n".join(f'{name} = "not known yet"' for name in protocols()["modbus"].operations)
     repository.write(

@@ -140,6 +140,7 @@ def run(repository: Repository, test: str) -> Outcome:
     return repository.pytest(*options, plugins="pytest_asyncio.plugin")
 
 
+@pytest.mark.long
 def test_every_test_finds_the_devices_as_they_are_at_their_start(repository: Repository) -> None:
     outcome = run(repository, ISOLATION)
     assert "7 passed" in outcome.output, outcome.output
@@ -279,6 +280,7 @@ def test_profibus(otmcp_profibus_device, otmcp_session):
 """
 
 
+@pytest.mark.long
 def test_devices_of_further_protocols_are_poked_and_say_what_they_have_seen(empty_repository: Repository) -> None:
     empty_repository.write(tests__test_it_py=FURTHER)
     outcome = empty_repository.pytest()

@@ -52,6 +52,7 @@ def test_there_are_examples_of_both_kinds() -> None:
 
 
 @pytest.mark.parametrize("options", [(), pytest.param(("-n", "2"), marks=pytest.mark.long)])
+@pytest.mark.long
 def test_the_examples_run_under_pytest_asyncio_in_strict_mode(repository: Repository, options: tuple[str, ...]) -> None:
     loops = ("-o", "asyncio_mode=strict", "-o", "asyncio_default_fixture_loop_scope=function")
     all_passed(run(repository, *loops, *options, plugins="pytest_asyncio.plugin xdist"))

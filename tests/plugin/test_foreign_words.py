@@ -79,6 +79,7 @@ LONG = pytest.mark.long
         pytest.param("forges-lines-at-the-start", marks=LONG),
     ],
 )
+@pytest.mark.long
 def test_a_run_prints_nothing_raw(empty_repository: Repository, kind: str) -> None:
     hostile(empty_repository, kind)
     outcome = empty_repository.pytest("--pyargs", "pytest_otmcp.conformance", "-k", "[M1]", "--otmcp-reps=1", "-rA")

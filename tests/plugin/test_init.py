@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.cli import main
+from pytest_otmcp.cli.init import recognise_protocol
+from pytest_otmcp.core.errors import UsageError
 from pytest_otmcp.protocols.own import OWN
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.soundness.warm_start import WarmStart
@@ -320,7 +322,7 @@ def test_tools_of_another_vocabulary_are_proposed_with_the_effect_that_the_devic
     assert "publish" not in adapter.unclaimed
 
 
-QUICK = ("modbus", "mqtt", "opcua")
+QUICK = ("mqtt",)
 ENDPOINTS = {
     "mqtt": ["--env", "MQTT_URL={url}"],
     "opcua": ["--env", "OPCUA_URL={url}"],
@@ -373,6 +375,7 @@ def test_every_tool_of_a_reference_adapter_is_found_and_proven(
     assert "(likely: by its name and its arguments; not called)" in done.stdout
 
 
+@pytest.mark.long
 def test_a_call_that_waits_is_proposed_as_one(otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart) -> None:
     endpoint = ("--env", "BROKER_HOST={host}", "--env", "BROKER_PORT={port}")
     done = otmcp("init", "--protocol", "mqtt", *endpoint, "--", *warm_start.python, str(FOREIGN), "mqtt-collect")
@@ -443,6 +446,7 @@ def test_an_old_server_is_described_beside_another_adapter(otmcp: Otmcp, tmp_pat
     assert "otmcp.toml: exists already" in again.stderr
 
 
+@pytest.mark.long
 def test_a_server_that_waits_for_the_older_handshake_is_told_by_an_option(otmcp: Otmcp, tmp_path: Path) -> None:
     (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
     address = ("--protocol", "modbus", "--file", "address={host} {port}")
@@ -459,7 +463,7 @@ def test_an_era_that_does_not_exist_is_refused(otmcp: Otmcp) -> None:
     assert "--era: invalid choice: '2024' (choose from 'auto', 'legacy')" in done.stderr
 
 
-@pytest.mark.parametrize("era", ["auto", "legacy"])
+@pytest.mark.parametrize("era", ["auto", pytest.param("legacy", marks=pytest.mark.long)])
 def test_the_doctor_says_by_which_handshake_a_server_must_be_addressed(otmcp: Otmcp, tmp_path: Path, era: str) -> None:
     (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
     text = f'''
@@ -482,7 +486,9 @@ result = {{ values = "registers" }}
     assert "old 1.9.4, MCP 2024-11-05, 1 tool" in done.stdout
     assert "a random value went between the mock device and the adapter: it talks to the mock" in done.stdout
     assert "nothing yet" not in done.stdout
-    assert done.stdout.splitlines()[-1] == "all is well, next: pytest --otmcp-reps=3"
+    *_, gaps, last = done.stdout.splitlines()
+    assert gaps.startswith("  not bound, and not declared as unclaimed: ping, read_input, write_holding; ")
+    assert last == "what is bound is well; bind the rest or declare it as unclaimed, then: pytest --otmcp-reps=3"
     addressed = (tmp_path / "addressed").read_text(encoding="utf-8").split()
     advice = "ends at the first request of today's handshake, or never answers it, so it was given that of 2025: say era = 'legacy'"
     if era == "auto":
@@ -501,10 +507,24 @@ def test_a_file_that_is_there_is_not_replaced(otmcp: Otmcp, tmp_path: Path) -> N
     assert (tmp_path / "otmcp.toml").read_text(encoding="utf-8") == "mine"
 
 
-def test_a_protocol_that_cannot_be_seen_is_asked_for(otmcp: Otmcp) -> None:
-    done = otmcp("init", "--", "adapter")
-    assert done.returncode == 2
-    assert "names no protocol; say --protocol modbus, mqtt, opcua" in done.stderr
+@pytest.mark.parametrize(
+    ("imports", "said"),
+    [
+        ("import pymodbus", "modbus: "),
+        ("import json", "the command names no protocol, and no known library of one is imported; add --protocol with"),
+        (
+            "import pymodbus, paho.mqtt",
+            "modbus and mqtt: the command or the imports of the adapter name each; add --pro",
+        ),
+    ],
+)
+def test_the_protocol_is_that_of_the_library_that_the_adapter_imports(imports: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "server.py").write_text(imports, encoding="utf-8")
+    try:
+        recognised = f"{recognise_protocol(['python', str(tmp_path / 'server.py')], {'PORT': '{port}'})}: "
+    except UsageError as error:
+        recognised = str(error)
+    assert recognised.startswith(said)
 
 
 def test_an_adapter_that_does_not_start_is_no_proposal(otmcp: Otmcp, tmp_path: Path) -> None:
@@ -594,6 +614,10 @@ def test_the_doctor_without_a_file_examines_the_adapters_that_every_run_has(
     ]
     assert "no subject file otmcp.toml here: these are the reference adapters" in shown.err
     assert shown.out.endswith("all is well, next: otmcp init -- COMMAND, with an adapter of yours\n")
+    assert main(["doctor", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [one["protocol"] for one in found] == [protocol.key for protocol in protocols().values() if protocol.always]
+    assert all(one["well"] and one["not_bound"] == [] for one in found)
 
 
 TELLING = """

@@ -285,6 +285,7 @@ def init(tmp_path: Path, warm_start: WarmStart) -> Init:
     return run
 
 
+@pytest.mark.long
 def test_a_status_is_proven_by_what_it_says_while_the_device_is_gone(init: Init) -> None:
     told, adapter = init("modbus", STATUS, PLC_HOST="{host}", PLC_PORT="{port}")
     assert "ping            connection_status (proven: the device saw an exchange)" in told
@@ -341,6 +342,7 @@ def read(adapter: Adapter, node: str, message: str) -> object:
     return extract(binding.outputs_for({"node": node}), read_answer(text(message), form)[0])["value"]
 
 
+@pytest.mark.long
 def test_a_node_that_was_tried_is_no_part_of_a_path(read_of: Callable[[str], tuple[str, Adapter]]) -> None:
     told, adapter = read_of("member")
     assert "read            read_opcua_node (proven: the device saw a Read of the node)" in told
@@ -348,6 +350,7 @@ def test_a_node_that_was_tried_is_no_part_of_a_path(read_of: Callable[[str], tup
     assert read(adapter, "ns=2;s=Pressure", '{"values": {"ns=2;s=Pressure": 1.5}}') == 1.5
 
 
+@pytest.mark.long
 def test_a_sentence_is_read_whatever_the_type_of_its_value_is(read_of: Callable[[str], tuple[str, Adapter]]) -> None:
     told, adapter = read_of("prose")
     assert "read            read_opcua_node (proven: the device saw a Read of the node)" in told
@@ -362,6 +365,7 @@ def test_a_sentence_is_read_whatever_the_type_of_its_value_is(read_of: Callable[
         assert read(adapter, "ns=2;s=Other", f"Node ns=2;s=Other value: {said}") == value
 
 
+@pytest.mark.long
 def test_a_pattern_that_reads_some_types_only_is_no_binding(read_of: Callable[[str], tuple[str, Adapter]]) -> None:
     told, adapter = read_of("unit")
     assert "read            read_opcua_node (asked, but not read: the device saw a Read of the node; what reads" in told

@@ -51,13 +51,13 @@ def peak_mib(repository: Repository) -> int:
     ("kind", "said"),
     [
         ("megabyte", SILENT),
-        ("most-bytes", SILENT),
+        pytest.param("most-bytes", SILENT, marks=pytest.mark.weekly),
         ("most-values", SILENT),
-        ("most-members", SILENT),
+        pytest.param("most-members", SILENT, marks=pytest.mark.weekly),
         ("large-reply", TOO_LARGE),
-        ("large-text", TOO_LARGE),
+        pytest.param("large-text", TOO_LARGE, marks=pytest.mark.weekly),
         ("deep", TOO_DEEP),
-        ("very-deep", TOO_DEEP),
+        pytest.param("very-deep", TOO_DEEP, marks=pytest.mark.weekly),
         ("deep-in-call", TOO_DEEP),
         pytest.param("notifications-in-call", LATE, marks=pytest.mark.weekly),
         pytest.param("progress-in-call", LATE, marks=pytest.mark.weekly),
@@ -88,7 +88,9 @@ read_input = { tool = "ping", result = { values = "data.values" } }
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["most-bytes", "most-values", "most-members"])
+@pytest.mark.parametrize(
+    "kind", ["most-values", *(pytest.param(kind, marks=pytest.mark.weekly) for kind in ("most-bytes", "most-members"))]
+)
 def test_fifty_of_the_largest_answers_do_not_fill_the_memory(empty_repository: Repository, kind: str) -> None:
     command = json.dumps([sys.executable, str(HOSTILE), kind, "token"])
     subject = SUBJECT.format(command=command).replace('read_input = "no", ', "") + BOUND

@@ -127,6 +127,7 @@ def the(record: Record, identifier: str) -> Record:
     return next(item for item in record["items"] if item["id"] == identifier)
 
 
+@pytest.mark.long
 def test_a_whole_run_is_judged_as_it_was(record: Record) -> None:
     assert len(record["items"]) == 38
     assert rejudge(record) == []
@@ -192,11 +193,11 @@ WAITED_FOR = ("hang", "wrong-id")
         pytest.param((*DEFECTIVE, "hang"), "S10", "no_reply", marks=pytest.mark.long),
         ((*MUTANT, "MU-49"), "M1", "stdout_noise"),
         pytest.param((*MUTANT, "MU-126"), "S10", "not_successful", marks=pytest.mark.long),
-        ((*MUTANT, "MU-20"), "M4", "wrote"),
+        pytest.param((*MUTANT, "MU-20"), "M4", "wrote", marks=pytest.mark.long),
         ((*ROGUE, "not-json"), "M1", "not_strict_json"),
         ((*ROGUE, "huge-reply"), "M1", "frame_too_long"),
         ((*ROGUE, "dies-in-call"), "M2 M3", "session_lost"),
-        ((*ROGUE, "wrong-id"), "M1", "unknown_id"),
+        pytest.param((*ROGUE, "wrong-id"), "M1", "unknown_id", marks=pytest.mark.long),
         ((*ROGUE, "dead"), "M1", "cannot_start"),
     ],
 )

@@ -46,6 +46,7 @@ def test_a_directory_of_another_run_is_refused_before_the_first_item(empty_repos
     assert empty_repository.pytest(*SUITE).code == 1
 
 
+@pytest.mark.long
 def test_links_in_the_directory_are_not_followed(empty_repository: Repository) -> None:
     empty_repository.subject()
     folder = empty_repository.root / "reports" / "latest"
@@ -88,6 +89,7 @@ ACTS = {
 
 
 @pytest.mark.parametrize("act", [act if "PISS" in act else pytest.param(act, marks=LONG) for act in ACTS])
+@pytest.mark.long
 def test_a_directory_that_is_changed_during_a_run_ends_it_in_one_sentence(
     empty_repository: Repository, act: str
 ) -> None:

@@ -77,6 +77,7 @@ def test_naming_the_requirement_suite_is_not_yet_asking_for_it(empty_repository:
     assert "the requirement suite runs when it is asked for: --otmcp-suite=requirements" in outcome.output
 
 
+@pytest.mark.long
 def test_what_a_run_is_not_about_is_not_counted_among_what_was_collected(empty_repository: Repository) -> None:
     empty_repository.reference_subject()
     assert len(empty_repository.collected(*SUITE)) == 38
@@ -89,6 +90,7 @@ def collect_only(repository: Repository, *options: str) -> str:
     return repository.pytest("--collect-only", "-q", *SUITE, *options).output
 
 
+@pytest.mark.long
 def test_a_bare_run_is_the_benchmark(empty_repository: Repository) -> None:
     empty_repository.reference_subject()
     outcome = empty_repository.pytest(*SUITE, "-k", "[M1]", "--otmcp-reps=1")

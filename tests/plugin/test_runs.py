@@ -8,6 +8,7 @@ import json
 import os
 import pty
 import re
+import shutil
 import signal
 import socket
 import struct
@@ -71,7 +72,7 @@ def test_a_narrowed_run_is_recorded_and_called_incomplete(repository: Repository
     assert sample["calls"][0]["tool"] == "read_input_registers"
     assert {entry["kind"] for entry in sample["device"]} == {"request", "response"}
     # Tables and figures compare items: whoever tries two of them does not wait for them, and none of an earlier run stays.
-    assert {path.name for path in outcome.report.iterdir()} == {"run.json", "report.html", "summary.md"}
+    assert {path.name for path in outcome.report.iterdir()} == {"run.json", "report.html", "summary.md", "verdict.json"}
     names = [case.get("name") for case in ElementTree.parse(repository.root / "junit.xml").iter("testcase")]
     assert names == ["test_normal[M2]", "test_fault[FM1]"]
 
@@ -93,6 +94,28 @@ def test_a_warning_fails_nothing_and_stands_beside_the_verdict(repository: Repos
     assert "the result has no text block" in (properties["otmcp_warning"] or "")
     for report in ("report.html", "summary.md"):
         assert "the result has no text block" in (outcome.report / report).read_text(encoding="utf-8")
+
+
+@pytest.mark.long
+def test_programs_read_verdict_rule_and_what_is_new_since_an_earlier_run(repository: Repository) -> None:
+    repository.subject("none")
+    options = ("-k", "normal and M2 or FM1", "--otmcp-reps=1", "--junit-xml=junit.xml")
+    first = repository.pytest(*SUITE, *options)
+    earlier = shutil.copy(first.report / "run.json", repository.root / "earlier.json")
+    repository.subject("wrong-value")
+    later = repository.pytest(*SUITE, *options, f"--otmcp-baseline={earlier}")
+    assert "; since the baseline 1 new (RD-001 Modbus))" in later.output, later.output
+    told = json.loads((later.report / "verdict.json").read_text())
+    assert [(one["rule"], one["code"], one["items"]) for one in told["causes"]] == [("RD-001", "wrong_value", ["M2"])]
+    assert (told["verdict"], told["items"], told["levels"]) == (later.verdict, {"passed": 1, "applied": 2}, {})
+    tree = ElementTree.parse(repository.root / "junit.xml")
+    found = [(entry.get("name"), entry.get("value")) for entry in tree.iter("property")]
+    assert found == [("otmcp_verdict", later.verdict), ("otmcp_rule", "RD-001")]
+    again = repository.pytest(*SUITE, *options, "--otmcp-baseline=reports/latest/run.json")
+    assert "; since the baseline nothing has changed)" in again.output
+    repository.subject("none")
+    mended = repository.pytest(*SUITE, *options, "--otmcp-baseline=reports/latest/run.json")
+    assert "; since the baseline 1 mended (RD-001 Modbus))" in mended.output
 
 
 def test_a_defective_adapter_makes_the_run_fail_with_a_finding(wrong_value: Outcome) -> None:
@@ -404,6 +427,7 @@ def screen(told: str) -> list[str]:
     return lines
 
 
+@pytest.mark.long
 def test_a_narrow_terminal_without_colours_shows_progress_and_no_line_breaks_at_its_edge(
     repository: Repository,
 ) -> None:

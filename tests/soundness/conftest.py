@@ -42,6 +42,7 @@ __all__ = [
     "judge",
     "judge_described",
     "judge_foreign",
+    "lane",
     "loop",
     "lying",
     "passing",
@@ -201,6 +202,11 @@ def lying(subject: Subject, lie: str, **env: str) -> Subject:
             for protocol, adapter in subject.adapters.items()
         },
     )
+
+
+def lane(number: int, quick: bool) -> list[pytest.MarkDecorator]:
+    """Return the markers of one of many cases of a kind: the fast lane runs the quick ones, the long lane every second of the others."""
+    return [] if quick else [pytest.mark.long] if number % 2 else [pytest.mark.long, pytest.mark.weekly]
 
 
 def failing(results: Results) -> set[str]:

@@ -51,7 +51,9 @@ def unbound(adapter: Adapter) -> Adapter:
     return replace(adapter, operations={})
 
 
-@pytest.mark.parametrize(("described", "protocol"), [(bare, "modbus"), (unbound, "mqtt")])
+@pytest.mark.parametrize(
+    ("described", "protocol"), [pytest.param(bare, "modbus", marks=pytest.mark.long), (unbound, "mqtt")]
+)
 def test_a_server_without_any_operation_is_asked_what_needs_none(
     judge: Judge, described: Callable[[Adapter], Adapter], protocol: str
 ) -> None:

@@ -41,7 +41,7 @@ LIES = {
 }
 """Each lie with the row that is about it, and the requirements that may be cited."""
 
-QUICK = {"another-value", "writes-anyway", "starts-first", "kitchen-alone"}
+QUICK = {"another-value", "starts-first"}
 
 
 def on(protocol: str, rows: str) -> set[str]:
@@ -147,9 +147,8 @@ def test_several_writes_of_one_call_are_told_apart_on_opcua(judge_foreign: Judge
 EVERYWHERE = foreign_subject("named-everywhere").adapters
 
 
-@pytest.mark.parametrize(
-    "protocol", [pytest.param(one, marks=() if one == "opcua" else pytest.mark.long) for one in EVERYWHERE]
-)
+@pytest.mark.parametrize("protocol", EVERYWHERE)
+@pytest.mark.long
 def test_named_commands_are_driven_on_every_protocol(judge_foreign: Judge, protocol: str) -> None:
     rows = "WR-003 WR-004 WR-005 WR-010 WR-014"
     results = judge_foreign("named-everywhere", tasks=" ".join(on(protocol, rows)))

@@ -35,8 +35,8 @@ ALONE = {"hang": "M1 M2 M3 M4 FM2 S1 S4 S7 S10 R-modbus"}
 adapter's own time-out, for which it waits there, is longer than the shortened deadline."""
 
 
-QUICK = ("none", "incomplete-enumeration")
-"""They are run in every test run; the others are run with the long tests."""
+QUICK = ("none",)
+"""It is run in every test run; the others are run with the long tests."""
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,7 @@ MANNERS: dict[str, dict[str, str]] = {
 
 
 @pytest.mark.parametrize(
-    "protocol", [pytest.param(name, marks=() if name in ("modbus", "mqtt") else pytest.mark.long) for name in OWN]
+    "protocol", [pytest.param(name, marks=() if name == "mqtt" else pytest.mark.long) for name in OWN]
 )
 @pytest.mark.parametrize(
     "manner", [pytest.param(name, marks=() if name == "misspelt" else pytest.mark.long) for name in MANNERS]

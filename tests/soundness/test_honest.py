@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -69,6 +70,11 @@ def warnings(results: Results) -> Iterator[tuple[str | None, str]]:
                     yield finding["requirement"], finding["code"]
 
 
+def some(names: list[str], step: int) -> list[Any]:
+    """Return each ``step``-th name for the fast lane, and the others for the long one."""
+    return [pytest.param(name, marks=pytest.mark.long if number % step else ()) for number, name in enumerate(names)]
+
+
 def accused_of_nothing(judge: Judge, name: str, tasks: str | None) -> None:
     choice = ZOO[name]
     results = judge(choice.protocol, "honest/adapter.py", name, described=choice.described, tasks=tasks)
@@ -80,29 +86,23 @@ def accused_of_nothing(judge: Judge, name: str, tasks: str | None) -> None:
     assert set(warnings(results)) == choice.warnings, words(results)
 
 
-@pytest.mark.parametrize("name", CLOSEST)
+@pytest.mark.parametrize("name", some(CLOSEST, 4))
 def test_an_honest_adapter_is_accused_of_nothing_in_the_items_that_say_most(judge: Judge, name: str) -> None:
     accused_of_nothing(judge, name, QUICK[ZOO[name].protocol])
 
 
-@pytest.mark.parametrize("name", [name for name in ZOO if name.startswith("texts/")])
+@pytest.mark.parametrize("name", some([name for name in ZOO if name.startswith("texts/")], 4))
 def test_an_honest_adapter_that_treats_texts_otherwise_is_accused_of_nothing(judge: Judge, name: str) -> None:
     accused_of_nothing(judge, name, " ".join(f"INJ-00{number}.{ZOO[name].protocol}" for number in (1, 2, 3)))
 
 
-@pytest.mark.parametrize("name", [name for name in ZOO if name.startswith("bounds/")])
+@pytest.mark.parametrize("name", some([name for name in ZOO if name.startswith("bounds/")], 4))
 def test_an_honest_adapter_that_keeps_bounds_in_its_own_way_is_accused_of_nothing(judge: Judge, name: str) -> None:
     protocol = ZOO[name].protocol
     accused_of_nothing(judge, name, f"WR-006.{protocol} WR-007.{protocol}")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.long if number % 3 else ())
-        for number, name in enumerate(name for name in ZOO if name.startswith("commands/"))
-    ],
-)
+@pytest.mark.parametrize("name", some([name for name in ZOO if name.startswith("commands/")], 6))
 def test_an_honest_adapter_with_commands_of_another_form_is_accused_of_nothing(judge: Judge, name: str) -> None:
     protocol = ZOO[name].protocol
     accused_of_nothing(judge, name, f"WR-003.{protocol} WR-004.{protocol} WR-010.{protocol} WR-014.{protocol}")

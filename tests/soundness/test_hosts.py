@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from .conftest import Judge, failing, passing, requirements, words
+from .conftest import Judge, failing, lane, passing, requirements, words
 from .test_commands import checks_of, on
 
 HONEST = {
@@ -42,7 +42,9 @@ OUTAGES = {"sends-it-later": "S11 WR-010.mqtt", "says-sent": "S11 WR-010.mqtt"}
 """Lies that an outage brings to light as well, with the items that have one."""
 
 
-@pytest.mark.parametrize("name", HONEST)
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=() if one == "mqtt-listener" else pytest.mark.long) for one in HONEST]
+)
 def test_an_honest_host_passes_what_is_asked_of_hosts(judge_foreign: Judge, name: str) -> None:
     rows, _ = HONEST[name]
     results = judge_foreign(name, tasks=" ".join(on("mqtt", rows)))
@@ -62,7 +64,7 @@ def test_an_honest_host_is_accused_of_nothing(judge_foreign: Judge, name: str) -
 
 
 @pytest.mark.parametrize(
-    ("name", "lie"), [pytest.param(*lie, marks=() if lie in QUICK else pytest.mark.long) for lie in LIES]
+    ("name", "lie"), [pytest.param(*lie, marks=lane(number, lie in QUICK)) for number, lie in enumerate(LIES)]
 )
 def test_a_lie_of_a_host_is_found(judge_foreign: Judge, name: str, lie: str) -> None:
     row, cited = LIES[name, lie]

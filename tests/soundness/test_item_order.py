@@ -31,6 +31,7 @@ ADAPTERS = [
 ]
 
 
+@pytest.mark.weekly
 @pytest.mark.parametrize(("protocol", "program", "name"), ADAPTERS)
 def test_more_repetitions_have_the_same_verdicts(
     judge: Judge, protocol: str, program: tuple[str, ...], name: str

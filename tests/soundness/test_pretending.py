@@ -9,8 +9,8 @@ from pytest_otmcp.suite.catalogue import tasks_by_id
 from .conftest import Judge, failing, words
 from .pretending import PRETENDERS
 
-QUICK = ("commands-as-status", "delivers-twice", "status-always-young")
-"""They are run in every test run; the others are run with the long tests."""
+QUICK = ("delivers-twice",)
+"""It is run in every test run; the others are run with the long tests."""
 
 
 @pytest.mark.parametrize(

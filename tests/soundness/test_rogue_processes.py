@@ -33,18 +33,22 @@ def nothing_is_left_behind() -> Any:
     ("mode", "expected"),
     [
         ("dead", r"exited with code 1.*spindle\.conf: no such file"),
-        ("dies-in-initialize", r"exited with code 3 during its handshake.*no module named 'spindle'"),
+        pytest.param(
+            "dies-in-initialize",
+            r"exited with code 3 during its handshake.*no module named 'spindle'",
+            marks=pytest.mark.long,
+        ),
         pytest.param(
             "stdout-flood",
             r"floods stdout with lines that are no MCP messages.*I am the spindle",
             marks=pytest.mark.long,
         ),
         ("wrong-id", r"a response carries the id \d{4}, which no request had"),
-        ("huge-reply", r"a message of more than 4 MiB"),
+        pytest.param("huge-reply", r"a message of more than 4 MiB", marks=pytest.mark.long),
         ("dies-in-call", r"exited with code 7.*out of spindle oil"),
-        ("hangs-in-call", r"no reply within the deadline of 2 s"),
+        pytest.param("hangs-in-call", r"no reply within the deadline of 2 s", marks=pytest.mark.long),
         ("not-json", r"not strict JSON: NaN is no JSON number"),
-        ("stderr-flood", r"the device should have answered at least"),
+        pytest.param("stderr-flood", r"the device should have answered at least", marks=pytest.mark.long),
     ],
 )
 def test_the_finding_says_what_the_process_did(judge: Judge, mode: str, expected: str) -> None:

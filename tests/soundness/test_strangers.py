@@ -107,6 +107,7 @@ def test_an_item_at_a_device_that_a_stranger_changes_cannot_be_judged(
     assert words(results) == ""
 
 
+@pytest.mark.long
 def test_a_strangers_exchange_proves_nothing_for_an_adapter_that_answers_from_memory(
     judge: Judge, beside: Beside
 ) -> None:

@@ -94,10 +94,8 @@ def words(results: Results) -> str:
     return "\n".join(f"{name}: {one['requirement']} {one['message']}" for name, one in findings)
 
 
-SAMPLED = [
-    pytest.param(*pair, marks=() if pair[0] in ("modbus", "mqtt") else pytest.mark.long) for pair in ADAPTERS.items()
-]
-"""Two of them are run in every test run."""
+SAMPLED = [pytest.param(*pair, marks=() if pair[0] == "mqtt" else pytest.mark.long) for pair in ADAPTERS.items()]
+"""One of them is run in every test run."""
 
 
 @pytest.mark.parametrize(("name", "protocol"), SAMPLED)

@@ -314,8 +314,10 @@ async def test_asyncua_is_recorded_alike_by_tap_and_mock_over_opcua() -> None:
             image = await device.image()
             folder = client.get_node(image["folders"]["Actuators"])
             await folder.get_children()
-        # What the device has seen has passed the tap.
-        theirs, mine = (await device.journal(mark)).entries, tap.journal.since(0)
+        # The last message has no answer for the client to wait for.
+        await tap.journal.wait(0, {"kind": "CloseSecureChannel"}, 1, 60.0)
+        assert await device.wait(mark, {"kind": "CloseSecureChannel"}, timeout_s=60.0)
+        mine, theirs = tap.journal.since(0), (await device.journal(mark)).entries
     assert contradictions("opcua", mine) == contradictions("opcua", theirs) == []
     # The mock records no messages of the connection protocol below.
     below = ("Hello", "Acknowledge")

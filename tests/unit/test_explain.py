@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from pytest_otmcp import cli
@@ -92,6 +94,18 @@ def test_no_line_is_wider_than_the_terminal(
     assert columns - 10 < max(map(len, lines)) <= columns
 
 
+def test_a_program_reads_the_same_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["explain", "--json", "wr-003"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert (found["id"], found["kind"], found["about"]) == ("WR-003", "requirement", requirements()["WR-003"].statement)
+    assert found["parts"]["Source"] == [requirements()["WR-003"].source]
+
+
+@pytest.mark.parametrize("name", ["M3", "WR-003", "WR-003.modbus", "Bronze", "illegal_address"])
+def test_the_case_of_an_id_does_not_matter(name: str) -> None:
+    assert explained(name.upper()) == explained(name.lower()) == explained(name) != []
+
+
 def test_an_id_with_two_meanings_is_told_twice() -> None:
     assert [one.kind for one in explained("internal_error")] == ["error code", "finding code"]
 
@@ -99,9 +113,8 @@ def test_an_id_with_two_meanings_is_told_twice() -> None:
 @pytest.mark.parametrize(
     ("unknown", "hint"),
     [
-        ("m3", "did you mean M3?"),
         ("WR-03", "WR-003"),
-        ("bronze", "did you mean Bronze?"),
+        ("bronz", "did you mean Bronze?"),
         ("wrong value", "did you mean wrong_value"),
         ("xyzzy", "'otmcp docs' prints the pages items, checks, requirements and codes, which list them all"),
     ],

@@ -68,7 +68,7 @@ def test_a_report_that_cannot_be_written_is_named_removed_and_hides_no_other(
         "report.html": "ZeroDivisionError: division by zero",
         "figures": "ValueError: no such colour",
     }
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["summary.md", "tables"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["summary.md", "tables", "verdict.json"]
 
 
 @pytest.mark.parametrize("suite", ["normal", "fault", "stress", "recovery"])

@@ -44,14 +44,17 @@ def test_a_protocol_without_its_library_is_not_measured_and_says_what_to_install
     registry: Mapping[str, OtProtocol],
 ) -> None:
     first, second, *_ = registry
-    for asked in ((first, second), (ALL,)):
-        chosen = select(None, asked)
-        assert first not in chosen.subject.adapters
-        assert second in chosen.subject.adapters
-        assert chosen.not_measured == {
-            first: f"{registry[first].name} was not measured: otmcp-no-such-library is not installed; "
-            f"pip install 'pytest-otmcp[{first}]'"
-        }
+    missing = f"otmcp-no-such-library is not installed; pip install 'pytest-otmcp[{first}]'"
+    chosen = select(None, (ALL,))
+    assert first not in chosen.subject.adapters
+    assert second in chosen.subject.adapters
+    assert chosen.not_measured == {first: f"{registry[first].name} was not measured: {missing}"}
+
+
+def test_a_protocol_that_is_named_needs_its_library(registry: Mapping[str, OtProtocol]) -> None:
+    first, second, *_ = registry
+    with pytest.raises(UsageError, match=f"--otmcp-protocols: {first}: otmcp-no-such-library is not installed"):
+        select(None, (second, first))
 
 
 def test_an_unknown_protocol_is_refused_in_one_sentence() -> None:

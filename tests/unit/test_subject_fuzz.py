@@ -206,7 +206,10 @@ def drawn(kind: Kind, choice: random.Random) -> Any:
     raise AssertionError(f"no example of {kind}")
 
 
-@pytest.mark.parametrize("which", ["reference", "foreign", "drawn"])
+@pytest.mark.parametrize(
+    "which",
+    [pytest.param("reference", marks=pytest.mark.long), pytest.param("foreign", marks=pytest.mark.long), "drawn"],
+)
 def test_the_editors_schema_and_the_kit_agree(
     which: str, load: Callable[[dict[str, Any]], tuple[Subject | None, str]]
 ) -> None:

@@ -379,7 +379,7 @@ DEFECTS: tuple[Defect, ...] = (
         "SPB-002",
         "SPB-001 SPB-002 SPB-004",
     ),
-    defect("MU-78", "mqtt", "The command to be born again has no effect.", rebirths_ignored, "SPB-008", quick=True),
+    defect("MU-78", "mqtt", "The command to be born again has no effect.", rebirths_ignored, "SPB-008"),
     defect("MU-78d", "mqtt", "The node dies before it is born again.", dies_before_it_is_born_again, "SPB-008"),
     defect(
         "MU-78n",
@@ -407,7 +407,6 @@ DEFECTS: tuple[Defect, ...] = (
         commands_kept,
         "SPB-010",
         "WR-010",
-        quick=True,
     ),
     defect("MU-79y", "mqtt", "An empty group is taken for the adapter's own.", groups_left_empty, "SPB-010", "SPB-002"),
     defect(

@@ -1,0 +1,83 @@
+"""The certificate for a person: ``certificate.html.jinja``, filled from the statement and nothing else. Pure.
+
+Programs judge ``certificate.json``; this page repeats it on a sheet of paper, and says how to check it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..core.text import counted
+from ..protocols.registry import protocols
+from ..suite.catalogue import all_tasks
+from ..suite.requirements import Level
+from .page import filled
+
+__all__ = ["certificate_page"]
+
+
+def certificate_page(certificate: Mapping[str, Any], sha256: str, *, signed: bool) -> str:
+    """Return the page.
+
+    Args:
+        certificate: the statement, as :func:`pytest_otmcp.certificate.statement.certificate` makes it.
+        sha256: hexadecimal digest of the file ``certificate.json``.
+        signed: ``certificate.json.sig`` is beside it.
+    """
+    told = certificate["predicate"]["otmcp"]
+    (subject,) = certificate["subject"]
+    *kit, record = certificate["predicate"]["configuration"]
+    return filled(
+        "certificate.html.jinja",
+        subject=subject["name"],
+        rows=[_row(protocol, facts, told) for protocol, facts in told["adapters"].items()],
+        facts=_facts(told),
+        files=[("Subject file", subject), *((entry["name"], entry) for entry in kit), ("run.json", record)],
+        sha256=sha256,
+        warnings=told["warnings"],
+        not_claimed=[
+            (protocols()[protocol].name, name, reason)
+            for protocol, facts in told["adapters"].items()
+            for name, reason in facts["facets"]["not_claimed"].items()
+        ],
+        limits=told["limits"],
+        signed=signed,
+    )
+
+
+def _row(protocol: str, facts: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, str]:
+    level = told["level"]["awarded"].get(protocol)
+    passed = [item for item in told["counts"]["items"] if protocol in all_tasks()[item].protocols]
+    return {
+        "protocol": protocols()[protocol].name,
+        "level": "no level" if level is None else level.capitalize(),
+        "meaning": _meaning(level),
+        "passed": f"{len(passed)} of {counted(len(passed), 'item')} that apply",
+        "deadline": f"every call within {facts['deadline_s']:g} s",
+        "server": " ".join(filter(None, (facts["server"]["name"], facts["server"]["version"]))),
+    }
+
+
+def _meaning(level: str | None) -> str:
+    """Return what a level allows, which is what it and every level below it says."""
+    if level is None:
+        return "has earned no level, which would say what a plant may ask of it"
+    earned = Level(level)
+    return " and ".join(each.meaning for each in Level if each.rank <= earned.rank)
+
+
+def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
+    total, counts, settings = told["counts"]["total"], told["counts"], told["settings"]
+    return [
+        (
+            "Measured",
+            f"{told['measured_at']} ({told['environment']['platform']}, Python {told['environment']['python']})",
+        ),
+        (
+            "Repetitions",
+            f"{total['passed']} of {total['planned']} passed, {counted(counts['tool_calls']['task'], 'tool call')}; N = {settings['reps']}",
+        ),
+        ("Seed", str(settings["seed"])),
+        ("Run", told["run_id"]),
+    ]

@@ -1,0 +1,66 @@
+"""The certificate for a person repeats the statement and nothing else."""
+
+from __future__ import annotations
+
+import html
+import re
+from typing import Any
+
+import pytest
+
+from pytest_otmcp.certificate.statement import certificate
+from pytest_otmcp.core.matrix import SUITES
+from pytest_otmcp.report.certificate_page import certificate_page
+from pytest_otmcp.suite.catalogue import all_tasks, tasks_by_id
+
+from .certified import conformant_run
+
+DIGEST = "cd" * 32
+
+
+@pytest.fixture
+def statement() -> dict[str, Any]:
+    return certificate(conformant_run(), "ab" * 32, tasks_by_id(suites=SUITES))
+
+
+def shown(statement: dict[str, Any], *, signed: bool = False) -> str:
+    """Return the words of the page."""
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", certificate_page(statement, DIGEST, signed=signed))).split())
+
+
+def test_it_names_the_adapter_and_every_digest(statement: dict[str, Any]) -> None:
+    words = shown(statement)
+    assert "acme-adapter 1.4.0" in words
+    entries = (*statement["subject"], *statement["predicate"]["configuration"])
+    assert all(value in words for entry in entries for value in entry["digest"].values())
+    assert DIGEST in words
+
+
+def test_a_level_is_said_with_what_it_allows(statement: dict[str, Any]) -> None:
+    told = statement["predicate"]["otmcp"]
+    passed = len([item for item in told["counts"]["items"] if "modbus" in all_tasks()[item].protocols])
+    allowed = "may be connected to a plant for reading and may write there while a person watches"
+    assert f"Modbus: Silver This adapter {allowed}. It passed {passed} of {passed} items that apply" in shown(statement)
+    told["level"]["awarded"]["modbus"] = None
+    assert "Modbus: no level This adapter has earned no level, which" in shown(statement)
+
+
+def test_what_is_not_claimed_is_there_with_the_reason_of_the_vendor_and_none_of_its_marks(
+    statement: dict[str, Any],
+) -> None:
+    facets = statement["predicate"]["otmcp"]["adapters"]["modbus"]["facets"]
+    facets["not_claimed"] = {"ping": "<img src=x onerror=alert(1)>"}
+    assert "Modbus, ping : <img src=x onerror=alert(1)>" in shown(statement)
+    assert "<img" not in certificate_page(statement, DIGEST, signed=False)
+
+
+@pytest.mark.parametrize(
+    ("signed", "command"),
+    [
+        (False, "otmcp verify certificate.json run.json"),
+        (True, "otmcp verify --trust allowed_signers certificate.json run.json"),
+    ],
+)
+def test_it_says_how_to_check_it(statement: dict[str, Any], signed: bool, command: str) -> None:
+    assert command in shown(statement, signed=signed)
+    assert ("It is not signed." in shown(statement, signed=signed)) is not signed
