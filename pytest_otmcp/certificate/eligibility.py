@@ -83,8 +83,7 @@ def _claims(run: Run) -> Claims:
 
 def _gaps(run: Run) -> list[str]:
     """Say what a certificate needs and the record does not have."""
-    gaps = [] if "tool_calls" in run["footer"] else ["the record does not count its tool calls"]
-    gaps += [
+    gaps = [
         f"the record's adapter {protocol!r} is none that the kit knows"
         for protocol in run["subject"]["adapters"]
         if protocol not in protocols()

@@ -82,10 +82,7 @@ def _differs(path: Path) -> bool:
 
 def _check(path: Path, stored: StoredRun) -> None:
     from ..protocols.registry import protocols
-    from ..record.schema import SCHEMA
 
-    if stored.version != SCHEMA:
-        raise UsageError(f"{path}: a record of {stored.version} cannot be judged again, only one of {SCHEMA}")
     if "digest" not in stored.footer:
         # A run that was killed has not noted its devices.
         raise UsageError(f"{path}: the run did not end, and its devices are not known")

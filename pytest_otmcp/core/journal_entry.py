@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, NotRequired, TypedDict
+from typing import Any, Literal, NotRequired, TypedDict
 
 __all__ = ["JournalEntry", "OwnerProcess"]
 
@@ -25,6 +25,9 @@ class JournalEntry(TypedDict):
     when it was accepted, and of everything that is not the adapter's. ``request``: a client asks the plant for something; keeping a session alive is no
     request. ``state_changing``: a request that may change the plant. ``answers``: ``seq`` of the request that this
     entry answers, or None.
+
+    Of a message ``frame`` has its bytes in hexadecimal digits, frame by frame, and ``told`` what the device says of it that its bytes do
+    not say; everything else follows from these two and from the messages before it. An event that is no message has neither.
     """
 
     seq: int
@@ -37,3 +40,5 @@ class JournalEntry(TypedDict):
     state_changing: bool
     answers: int | None
     process: NotRequired[OwnerProcess]
+    frame: NotRequired[str]
+    told: NotRequired[dict[str, Any]]

@@ -12,10 +12,10 @@ import itertools
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any, Literal, cast
-from weakref import WeakKeyDictionary
+from typing import Any, Literal
 
-from ..protocols.conversation import Conversation, Direction, Message
+from ..protocols.conversation import Conversation, Conversations, Direction, Message
+from ..protocols.evidence import entry_of
 from ..protocols.journal import JournalEntry
 from ..protocols.oracle import has
 from .owners import Peer, PeerProcess, process_told
@@ -24,8 +24,6 @@ __all__ = ["DeviceJournal"]
 
 _CAPACITY = 200_000
 """A limit against floods, as in the mocks. Entries that were read are to be released with :meth:`DeviceJournal.forget`."""
-_MOST_CONVERSATIONS = 4096
-"""A client that sends each datagram from another port never ends a conversation."""
 _MOST_ANSWERABLE = 65_536
 """Records of a mock that can still be answered, as :mod:`~pytest_otmcp.protocols.conversation` has it."""
 
@@ -47,12 +45,10 @@ class DeviceJournal:
     """
 
     def __init__(self, conversation: Callable[[], Conversation] | None = None, capacity: int = _CAPACITY) -> None:
-        self._conversation = conversation
-        self._conversations: dict[int, Conversation] = {}
+        self._conversations = None if conversation is None else Conversations(conversation)
         self._entries: deque[JournalEntry] = deque(maxlen=capacity)
         self._frames: deque[tuple[int, int, Direction, bytes, str | None]] = deque()
-        # Sequence numbers of the messages that a conversation still holds, and of a mock's records, for their answers.
-        self._seq_of: WeakKeyDictionary[Message, int] = WeakKeyDictionary()
+        # Sequence numbers of a mock's records, for their answers.
         self._seq_of_record: dict[int, int] = {}
         self._next = 0
         self.dropped = 0
@@ -150,10 +146,9 @@ class DeviceJournal:
     def _catch_up(self) -> None:
         while self._frames:
             t_ns, connection, direction, frame, fault = self._frames.popleft()
-            said = {} if fault is None else {"fault": fault}
+            told = {} if fault is None else {"fault": fault}
             for message in self._decoded(connection, direction, frame):
-                answered = None if message.answers is None else self._seq_of.get(message.answers)
-                self._append(t_ns, connection, message, "client", answered, said)
+                self._append(t_ns, connection, message, "client", frame, told)
 
     # -- of a mock ----------------------------------------------------------------------------------------
 
@@ -178,34 +173,27 @@ class DeviceJournal:
         self.taken = max(self.taken, told["next"])
 
     def _take(self, record: Mapping[str, Any]) -> None:
-        direction, fields = record["direction"], dict(record["fields"])
+        direction, told, frame = record["direction"], dict(record["fields"]), None
         if record["frame"] is None:
-            contract = {name: fields.pop(name, False) for name in ("request", "state_changing")}
-            messages = [Message(direction=direction, kind=fields.pop("kind"), fields=fields, **contract)]
-            fields = {}
+            contract = {name: told.pop(name, False) for name in ("request", "state_changing")}
+            messages = [Message(direction=direction, kind=told.pop("kind"), fields=told, **contract)]
+            told = {}
         else:
-            messages = self._decoded(record["connection"], direction, bytes.fromhex(record["frame"]))
+            frame = bytes.fromhex(record["frame"])
+            messages = self._decoded(record["connection"], direction, frame)
+        if record["answers"] is not None:
+            # The device knows which request it answers, also where a fault makes the answer name another.
+            told["answers"] = self._seq_of_record.get(record["answers"])
         for message in messages:
-            answered = None if message.answers is None else self._seq_of.get(message.answers)
-            if record["answers"] is not None:
-                # The device knows which request it answers, also where a fault makes the answer name another.
-                answered = self._seq_of_record.get(record["answers"])
             self._seq_of_record[record["number"]] = self._next
-            self._append(record["t_ns"], record["connection"], message, record["origin"], answered, fields)
+            self._append(record["t_ns"], record["connection"], message, record["origin"], frame, told)
         if len(self._seq_of_record) > _MOST_ANSWERABLE:
             del self._seq_of_record[next(iter(self._seq_of_record))]
 
     # -- entries ------------------------------------------------------------------------------------------
 
     def _decoded(self, connection: int, direction: Direction, frame: bytes) -> list[Message]:
-        conversation = self._conversations.get(connection)
-        if conversation is None:
-            if self._conversation is None:
-                return []
-            if len(self._conversations) == _MOST_CONVERSATIONS:
-                del self._conversations[next(iter(self._conversations))]
-            conversation = self._conversations[connection] = self._conversation()
-        return conversation.decode(direction, frame)
+        return [] if self._conversations is None else self._conversations.decode(connection, direction, frame)
 
     def _append(
         self,
@@ -213,31 +201,19 @@ class DeviceJournal:
         connection: int,
         message: Message,
         origin: Origin,
-        answers: int | None,
-        said: Mapping[str, object],
+        frame: bytes | None,
+        told: Mapping[str, object],
     ) -> None:
-        of_client = origin == "client"
-        contract: JournalEntry = {
-            "seq": self._next,
-            "t_ns": t_ns,
-            "connection": connection,
-            "direction": message.direction,
-            "kind": message.kind,
-            "request": message.request and of_client,
-            "state_changing": message.state_changing and of_client,
-            "answers": answers,
-            "origin": origin,
-        }
-        self._seq_of[message] = self._next
+        entry = entry_of(message, frame, told, seq=self._next, t_ns=t_ns, connection=connection, origin=origin)
         if len(self._entries) == self._entries.maxlen:
             self.dropped += 1
-        self._entries.append(cast(JournalEntry, {**contract, **message.fields, **said}))
+        self._entries.append(entry)
         peer = self._peers.get(connection)
         if peer is not None and message.direction == "in":
             if message.kind == "DISCONNECTED":
                 peer.ended = self._next
             elif peer.spoke is None and message.kind not in _NO_MESSAGES:
                 peer.spoke = self._next
-        if message.kind == "DISCONNECTED":
-            self._conversations.pop(connection, None)
+        if message.kind == "DISCONNECTED" and self._conversations is not None:
+            self._conversations.end(connection)
         self._next += 1

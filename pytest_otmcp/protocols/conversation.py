@@ -7,19 +7,21 @@ answer refers to the message object that it answers.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
-__all__ = ["Conversation", "Direction", "InOrder", "Message", "Outstanding"]
+__all__ = ["Conversation", "Conversations", "Direction", "InOrder", "Message", "Outstanding"]
 
 Direction = Literal["in", "out"]
 
 _MOST_OUTSTANDING = 65_536
 """Outstanding messages at most: identifiers of two bytes, which most protocols have, cannot tell more of them apart."""
+_MOST_CONVERSATIONS = 4096
+"""A client that sends each datagram from another port never ends a conversation."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
+@dataclass(slots=True, kw_only=True, eq=False)
 class Message:
     """One message of a client or of its device, decoded. A message equals only itself.
 
@@ -30,6 +32,9 @@ class Message:
             ``reason``.
         request, state_changing: see :class:`~pytest_otmcp.protocols.journal.JournalEntry`.
         answers: the message of the other direction that this one answers.
+        frames: to be kept of it: where several frames made it, or where its own holds a credential, which must not be kept.
+            A conversation that decodes them in this order makes the same message of them.
+        seq: its number in the journal, once it has one.
     """
 
     direction: Direction
@@ -38,6 +43,8 @@ class Message:
     request: bool = False
     state_changing: bool = False
     answers: Message | None = None
+    frames: Sequence[bytes] = ()
+    seq: int | None = None
 
 
 class Conversation(Protocol):
@@ -47,6 +54,31 @@ class Conversation(Protocol):
         """Decode one frame; several frames may be needed for a message. A frame of any content is decoded without an
         exception."""
         ...
+
+
+class Conversations:
+    """The conversations of a device's connections.
+
+    Args:
+        new: makes the decoder of one connection.
+    """
+
+    def __init__(self, new: Callable[[], Conversation]) -> None:
+        self._new = new
+        self._of: dict[int, Conversation] = {}
+
+    def decode(self, connection: int, direction: Direction, frame: bytes) -> list[Message]:
+        """Decode one frame of a connection."""
+        conversation = self._of.get(connection)
+        if conversation is None:
+            if len(self._of) == _MOST_CONVERSATIONS:
+                del self._of[next(iter(self._of))]
+            conversation = self._of[connection] = self._new()
+        return conversation.decode(direction, frame)
+
+    def end(self, connection: int) -> None:
+        """Forget a connection that has ended."""
+        self._of.pop(connection, None)
 
 
 class Outstanding:

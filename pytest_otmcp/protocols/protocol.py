@@ -242,14 +242,6 @@ def _assumed(request: JournalEntry, answer: JournalEntry | None) -> bool:
     return True
 
 
-def _no_bytes(entry: JournalEntry) -> str | None:
-    return None
-
-
-def _any_answer(kind: str, asked: str) -> bool:
-    return True
-
-
 def _declares_nothing(operation: str, effect: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
     return {}
 
@@ -299,10 +291,7 @@ class OtProtocol:
         title: names a journal entry, for the report's conversations; None where the entry's kind is name enough.
         again: says in one clause, of requests for the same thing among entries, what a client and a device have made of the protocol's own
             rules for delivering a request again; empty where the protocol has none, or there was no occasion.
-        contradiction: says in one clause where a journal entry differs from the bytes of the wire that it holds, or its members
-            from one another; None where they agree.
-        is_answer: tells whether an entry of one kind can be the answer to an entry of another.
-        asking: kinds of entries that a client causes by what it sends; any kind can be one while there are none.
+        events: kinds of entries without a frame that its mock records, beside those of every witness.
         facts: what a journal entry says of members of ``meta.trace``, by name (``a.b`` for a member of a member): the values
             that the wire has for it; None where nothing is known of traces.
         stamps: returns the wall-clock times that the adapter has put into entries.
@@ -342,9 +331,7 @@ class OtProtocol:
     changes: Callable[[Entries], Sequence[JournalEntry]] = _state_changing
     carried_out: Callable[[JournalEntry, JournalEntry | None], bool | None] = _assumed
     again: Callable[[Entries, Entries], str] = _nothing_to_say
-    contradiction: Callable[[JournalEntry], str | None] = _no_bytes
-    is_answer: Callable[[str, str], bool] = _any_answer
-    asking: Collection[str] = ()
+    events: Collection[str] = ()
     stamps: Callable[[Entries], Iterable[Stamp]] = _no_stamps
     composites: Mapping[str, Composite] = field(default_factory=dict)
     probes: Mapping[str, object] = field(default_factory=dict)

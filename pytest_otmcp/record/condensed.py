@@ -22,7 +22,7 @@ def condensed(run: StoredRun) -> Run:
     """Return the run; only the samples that reports show are whole."""
     shared: dict[tuple[object, ...], Call] = {}
     items = [_item(item, shared) for item in run.items()]
-    return cast(Run, {**run.header, "schema": run.version, "items": items, "footer": run.footer})
+    return cast(Run, {**run.header, "items": items, "footer": run.footer})
 
 
 def _item(item: StoredItem, shared: dict[tuple[object, ...], Call]) -> Item:

@@ -1,9 +1,8 @@
 """The reader of a run record, which trusts nothing in it; it reads one sample at a time. Pure but for the file.
 
 A record is copied to a private file first and read from there, so that the bytes that are read later are those that were
-checked. A record of ``otmcp-run/2`` is read line by line, as :mod:`pytest_otmcp.record.writer` has laid it out: a record that
-was formatted anew is refused, as its digest would be. A record of ``otmcp-run/1`` is read as a whole and returned in the shape
-of today.
+checked. It is read line by line, as :mod:`pytest_otmcp.record.writer` has laid it out: a record that was formatted anew is refused, as
+its digest would be. Of the messages of journals it has frames, which are decoded as they are read.
 """
 
 from __future__ import annotations
@@ -12,24 +11,42 @@ import gzip
 import hashlib
 import tempfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import IO, BinaryIO, cast
+from typing import IO, Any, BinaryIO, cast
 
 from ..core.files import regular
+from ..core.journal_entry import JournalEntry
 from ..core.strict_json import parse_strict
-from . import version1
 from .consistency import Contradiction, RunChecker
-from .schema import SCHEMA, Footer, Header, Item, ItemHead, Run, Sample, ShapeError, check
-from .writer import ITEMS_LINE
+from .journals import AFTER_SAMPLES, Journals
+from .layout import head_of, sample_of
+from .schema import (
+    SCHEMA,
+    DeviceEvidence,
+    EntryEvidence,
+    Footer,
+    Header,
+    Item,
+    ItemHead,
+    Run,
+    Sample,
+    ShapeError,
+    check,
+)
+from .writer import ITEMS_LINE, NOT_ENDED
 
 __all__ = ["RecordError", "StoredItem", "StoredRun", "load", "open_record"]
 
 _FIRST_LINE = b'{"schema": "' + SCHEMA.encode() + b'",\n'
 _HEAD_ENDS = b'"samples": [\n'
 _BLOCK = 1 << 20
+_KEPT = 100
+"""Repetitions of an item at most that are kept until the next item is read."""
 _GZIP = b"\x1f\x8b"
 """The first bytes of a file that gzip has compressed (RFC 1952, section 2.3.1)."""
 
@@ -38,42 +55,50 @@ class RecordError(Exception):
     """A run record cannot be read or believed; the message says why."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Part:
-    """Place of an item in the file: offsets of its head's line and of its first sample, and the number of its samples."""
+    """Place of an item in the file: offsets of its head's line and of its first sample, the number of its samples; when it began; and how
+    far its devices' journals had been read when it began, and after its repetitions."""
 
     begin: int
     samples: int
     count: int
+    began_ns: int
+    journals: Journals | None = None
+    at_end: Journals | None = None
+
+    def lines(self, file: BinaryIO) -> Iterator[Sample]:
+        """Return its samples, with the evidence of their journals, from the first."""
+        at = self.samples
+        for _ in range(self.count):
+            # Two items may be read alternately.
+            file.seek(at)
+            line = file.readline()
+            at = file.tell()
+            yield sample_of(parse_strict(line.rstrip(b",\n")), "a sample")
+
+    def head(self, file: BinaryIO) -> ItemHead:
+        """Return the item without its samples, with the evidence of its journals."""
+        file.seek(self.begin)
+        return head_of(_item_head(file.readline()), "an item")
 
 
 class StoredItem:
     """An item of a record; its samples are read when they are asked for."""
 
-    def __init__(self, head: ItemHead, source: Iterable[Sample] | tuple[BinaryIO, _Part]) -> None:
+    def __init__(self, head: ItemHead, samples: Callable[[], Iterator[Sample]]) -> None:
         self.head = head
-        self._source = source
+        self._samples = samples
 
     def samples(self) -> Iterator[Sample]:
         """Return its samples, from the first."""
-        if not isinstance(self._source, tuple):
-            yield from self._source
-            return
-        file, part = self._source
-        at = part.samples
-        for _ in range(part.count):
-            # Two items may be read alternately.
-            file.seek(at)
-            line = file.readline()
-            at = file.tell()
-            yield cast(Sample, parse_strict(line.rstrip(b",\n")))
+        return self._samples()
 
 
 class StoredRun:
     """A record that has been checked: header, footer, and items in the order of the file.
 
     Attributes:
-        version: of the file's schema; header and items are in the shape of today in any case.
         sha256: of the file's bytes.
     """
 
@@ -81,32 +106,74 @@ class StoredRun:
         self,
         header: Header,
         footer: Footer,
-        items: list[Item] | tuple[BinaryIO, list[_Part]],
+        items: list[Item] | tuple[_Chain, list[_Part]],
         *,
-        version: str,
         sha256: str,
     ) -> None:
         self.header = header
         self.footer = footer
-        self.version = version
         self.sha256 = sha256
         self._items = items
 
     @classmethod
     def of(cls, run: Run) -> StoredRun:
         """Return a record that is in memory already as a stored run; nothing is checked."""
-        return cls(run, run["footer"], run["items"], version=SCHEMA, sha256="")
+        return cls(run, run["footer"], run["items"], sha256="")
 
     def items(self) -> Iterator[StoredItem]:
         """Return the items, from the first."""
         if isinstance(self._items, list):
             for item in self._items:
-                yield StoredItem(item, item["samples"])
+                yield StoredItem(item, partial(iter, item["samples"]))
             return
-        file, parts = self._items
+        chain, parts = self._items
         for part in parts:
-            file.seek(part.begin)
-            yield StoredItem(_item_head(file.readline()), (file, part))
+            yield chain.item(part)
+
+
+class _Chain:
+    """The items of a file in the order of time, whatever that of the file: in this order the journals of devices go on.
+
+    What was read to come so far is given to whoever asks for it next, so that reading a record once decodes it once.
+    """
+
+    def __init__(self, file: BinaryIO, parts: Iterable[_Part]) -> None:
+        self._file = file
+        self._left = deque(sorted(parts, key=lambda part: part.began_ns))
+        self._journals = Journals()
+        self._latest: tuple[_Part, list[Sample]] | None = None
+
+    def item(self, part: _Part) -> StoredItem:
+        """Return an item of the file."""
+        while part.journals is None:
+            self._go_on(self._left.popleft())
+        found = part.head(self._file)
+        journals = part.journals.copy(found)
+        head = journals.begin(found)
+        if part.at_end is not None:
+            head = part.at_end.copy(found).end(head)
+
+        def samples() -> Iterator[Sample]:
+            if self._latest is not None and self._latest[0] is part:
+                return iter(self._latest[1])
+            reading = journals.copy(found)
+            return (reading.part(found, sample) for sample in part.lines(self._file))
+
+        return StoredItem(head, samples)
+
+    def _go_on(self, part: _Part) -> None:
+        """Read the next item, and note how far the journals of its devices had been read before it and before its end."""
+        head, journals = part.head(self._file), self._journals
+        part.journals = journals.copy(head)
+        journals.begin(head)
+        samples = (journals.part(head, sample) for sample in part.lines(self._file))
+        if part.count <= _KEPT:
+            self._latest = (part, list(samples))
+        else:
+            deque(samples, maxlen=0)
+        if any(around["role"] == AFTER_SAMPLES for around in head["around"]):
+            part.at_end = journals.copy(head)
+            journals.end(head)
 
 
 @contextmanager
@@ -154,31 +221,16 @@ def load(path: Path, *, allow_incomplete: bool = False) -> Run:
     """Read a whole run record into memory; see :func:`open_record`."""
     with open_record(path, allow_incomplete=allow_incomplete) as run:
         items = [cast(Item, {**item.head, "samples": list(item.samples())}) for item in run.items()]
-        header = {**run.header, "schema": run.version}
-        return cast(Run, {**header, "items": items, "footer": run.footer})
+        return cast(Run, {**run.header, "items": items, "footer": run.footer})
 
 
 def _read(file: BinaryIO, sha256: str, *, allow_incomplete: bool) -> StoredRun:
     file.seek(0)
-    if file.readline() == _FIRST_LINE:
-        scanner = _Scanner(file, allow_incomplete=allow_incomplete)
-        scanner.scan()
-        return StoredRun(scanner.header, scanner.footer, (file, scanner.parts), version=SCHEMA, sha256=sha256)
-    file.seek(0)
-    content = file.read()
-    run = version1.parse(content, allow_incomplete=allow_incomplete)
-    if isinstance(run, dict) and run.get("schema") == SCHEMA:
-        raise RecordError("the file was formatted anew: a record is read in the lines in which the kit wrote it")
-    if not isinstance(run, dict) or run.get("schema") != version1.SCHEMA:
-        raise RecordError(f"not a run record of schema {SCHEMA} or {version1.SCHEMA}")
-    version1.check_digest(run)
-    today = check(version1.upgraded(run), Run, "the record")
-    checker = RunChecker(today)
-    for item in today["items"]:
-        for _ in checker.item(item, item["samples"]):
-            pass
-    checker.footer(today["footer"])
-    return StoredRun(today, today["footer"], today["items"], version=version1.SCHEMA, sha256=sha256)
+    if file.readline() != _FIRST_LINE:
+        raise RecordError(f"not a run record of schema {SCHEMA} in the lines in which the kit writes it")
+    scanner = _Scanner(file, allow_incomplete=allow_incomplete)
+    scanner.scan()
+    return StoredRun(scanner.header, scanner.footer, (_Chain(file, scanner.parts), scanner.parts), sha256=sha256)
 
 
 class _Scanner:
@@ -203,14 +255,16 @@ class _Scanner:
         self._file.seek(0)
         self._read_header()
         checker = RunChecker(self.header)
+        self._counts = checker.counts()
         try:
             if self._read_items(checker):
                 self._read_footer()
         except ValueError:
             if not self._torn_is_well:
                 raise
-            self.footer = {"complete": False, "reason": "the run did not end", "items": len(self.parts)}
+            self.footer = check({"complete": False, "reason": NOT_ENDED, **self._counts}, Footer, "the footer")
             return
+        self.footer = check({**self.footer, **self._counts}, Footer, "the footer")
         checker.footer(self.footer)
 
     def _line(self) -> bytes:
@@ -239,12 +293,13 @@ class _Scanner:
         else:
             more = True
         while more:
-            head = check(_item_head(line), ItemHead, f"item {len(self.parts) + 1}")
+            head = _checked_head(_item_head(line), f"item {len(self.parts) + 1}")
             samples = self._file.tell()
             count = 0
             for _ in checker.item(head, self._read_samples(head["id"])):
                 count += 1
-            self.parts.append(_Part(begin, samples, count))
+            self._counts = checker.counts()
+            self.parts.append(_Part(begin, samples, count, head["began_ns"]))
             more = self._another_item
             begin, line = self._file.tell(), self._line()
         if line != b" ],\n":
@@ -257,7 +312,7 @@ class _Scanner:
             if another is False:
                 raise ValueError(f"a comma is missing between two samples of {name}")
             another = line.endswith(b",\n")
-            yield check(parse_strict(line[: -2 if another else -1]), Sample, f"a sample of {name}")
+            yield _checked_sample(parse_strict(line[: -2 if another else -1]), f"a sample of {name}")
         if another:
             raise ValueError(f"a comma after the last sample of {name}")
         self._another_item = line == b"  ]},\n"
@@ -271,21 +326,58 @@ class _Scanner:
             last = self._file.readline()
             if not last.endswith(b"}}\n"):
                 raise ValueError("the file ends in the midst of a line")
-            self.footer = check(
-                parse_strict(text[:-2] + b"," + last.rstrip(b"\n").removesuffix(b"}")), Footer, "the footer"
-            )
+            self.footer = parse_strict(text[:-2] + b"," + last.rstrip(b"\n").removesuffix(b"}"))
             # Nothing but the digest is in the one line that the digest is not about.
             if last != b' "digest": "sha256:%s"}}\n' % digest.encode():
                 raise Contradiction("the digest does not match: the file has been changed")
         else:
-            self.footer = check(parse_strict(text.rstrip(b"\n").removesuffix(b"}")), Footer, "the footer")
+            self.footer = parse_strict(text.rstrip(b"\n").removesuffix(b"}"))
         if self._file.read(1):
             raise ValueError("something follows the footer")
 
 
-def _item_head(line: bytes) -> ItemHead:
+def _checked_head(kept: Any, where: str) -> ItemHead:
+    """Check an item without its samples; its journals hold evidence.
+
+    Raises:
+        ShapeError: it has another shape.
+    """
+    head = head_of(kept, where)
+    if isinstance(head.get("devices"), dict) and isinstance(head.get("around"), list):
+        devices = {at: _without(found, where, "before", "missed") for at, found in head["devices"].items()}
+        around = [_without(part, where, "device") for part in head["around"]]
+        check({**head, "devices": devices, "around": around}, ItemHead, where)
+    else:
+        check(head, ItemHead, where)
+    return head
+
+
+def _checked_sample(kept: Any, where: str) -> Sample:
+    sample = sample_of(kept, where)
+    check(_without(sample, where, "device"), Sample, where)
+    return sample
+
+
+def _without(value: Any, where: str, *names: str) -> Any:
+    """Return a part of an item without the evidence in these members, which is checked.
+
+    Raises:
+        ShapeError: the evidence has another shape.
+    """
+    if not isinstance(value, dict):
+        return value
+    kept = {name: value[name] for name in names if name in value}
+    for name, entries in kept.items():
+        check(entries, list[DeviceEvidence] if name == "device" else list[EntryEvidence], where)
+        for entry in entries:
+            if "frame" not in entry:
+                check(entry, JournalEntry, f"{where}: the journal entry {entry['seq']}")
+    return {**value, **{name: [] for name in kept}}
+
+
+def _item_head(line: bytes) -> Any:
     if not line.startswith(b"  {") or not line.endswith(_HEAD_ENDS):
         raise ValueError(f"{line[:40]!r} where an item should begin")
     head = parse_strict(line.rstrip(b"\n") + b"]}")
     del head["samples"]
-    return cast(ItemHead, head)
+    return head

@@ -70,7 +70,11 @@ class Redactor:
         if isinstance(value, str):
             return self.text(value)
         if isinstance(value, dict):
-            return {self.text(name): self._applied(member) for name, member in value.items()}
+            shown = {self.text(name): self._applied(member) for name, member in value.items()}
+            if "frame" in shown and shown != value:
+                # A message that held a secret is kept as it was read: its bytes without the secret are no message.
+                del shown["frame"]
+            return shown
         if isinstance(value, list):
             return [self._applied(element) for element in value]
         return value

@@ -1,7 +1,8 @@
-"""The shape of a run record, ``otmcp-run/2``: the one definition of its members. Pure.
+"""The shape of a run record, ``otmcp-run/3``: the one definition of its members. Pure.
 
 The classes below serve as static types, for the check of every record that is read (:func:`check`), and for the JSON Schema
-of the wheel (``otmcp docs run.schema.json``). ``docs/run-record.md`` explains the members to authors of
+of the wheel (``otmcp docs run.schema.json``). They are of a record in memory; ``layout`` says what of it is in the file: the evidence, and
+apart from it the judgement, which follows from the evidence. ``docs/run-record.md`` explains the members to authors of
 other tools.
 
 Times whose names end in ``_ns`` are of one clock, the machine's monotonic clock, in every process of a run. A member that a
@@ -14,7 +15,7 @@ from typing import Annotated, Any, Final, Literal, NotRequired, TypedDict, TypeV
 
 import msgspec
 
-from ..core.journal_entry import JournalEntry
+from ..core.journal_entry import JournalEntry, OwnerProcess
 from ..core.text import LONGEST_NAME
 from ..core.walls import Wall
 
@@ -26,10 +27,13 @@ __all__ = [
     "Altered",
     "Around",
     "Call",
+    "CallJudgement",
     "Change",
     "Device",
     "DeviceEntry",
+    "DeviceEvidence",
     "Ended",
+    "EntryEvidence",
     "Environment",
     "Finding",
     "Footer",
@@ -41,6 +45,7 @@ __all__ = [
     "ItemBody",
     "ItemDevice",
     "ItemHead",
+    "ItemJudgement",
     "JournalEntry",
     "Kit",
     "Observation",
@@ -49,6 +54,7 @@ __all__ = [
     "Role",
     "Run",
     "Sample",
+    "SampleJudgement",
     "SessionProof",
     "SessionRemark",
     "SessionStart",
@@ -64,7 +70,7 @@ __all__ = [
     "check",
 ]
 
-SCHEMA: Final = "otmcp-run/2"
+SCHEMA: Final = "otmcp-run/3"
 
 _ONE_LINE = r"^(?![\s\S]*[\u0000-\u001f\u007f-\u009f])"
 # The end of a text, alike in Python's and ECMAScript's regular expressions: "$" in Python also matches before a line feed.
@@ -73,7 +79,12 @@ _END = r"(?![\s\S])"
 _RFC_3339 = (
     rf"^[0-9]{{4}}-[01][0-9]-[0-3][0-9]T[0-2][0-9]:[0-5][0-9]:[0-6][0-9](\.[0-9]+)?(Z|[+-][0-9]{{2}}:[0-9]{{2}}){_END}"
 )
-_IN_WORDS = {_ONE_LINE: "has a control character", _RFC_3339: "is no time as RFC 3339 has it"}
+_HEXADECIMAL = rf"^[0-9a-f]+( [0-9a-f]+)*{_END}"
+_IN_WORDS = {
+    _ONE_LINE: "has a control character",
+    _RFC_3339: "is no time as RFC 3339 has it",
+    _HEXADECIMAL: "is no frame in hexadecimal digits",
+}
 
 Name = Annotated[str, msgspec.Meta(pattern=_ONE_LINE, max_length=LONGEST_NAME)]
 """A text that is printed in one line: it holds no control characters."""
@@ -433,15 +444,23 @@ class Altered(TypedDict):
     tool: str | None
 
 
-class Call(TypedDict):
+class CallJudgement(TypedDict):
+    """What follows of a call: its role, whether it met what was expected, and the outputs that were found in the answer."""
+
+    role: Role
+    ok: bool
+    outputs: dict[str, Any]
+
+
+class Call(CallJudgement):
     """One tool call.
 
     ``operation`` and ``inputs``: what the steps asked for; ``tool`` and ``arguments``: what the subject file makes of it.
     ``altered``: how the steps changed these arguments. ``taken``: the handles of earlier calls that they hold, by ``step.name``. ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all; ``frames_sha256`` is the digest of these frames as they were,
-    before any was cut off.
+    before any was cut off. ``envelope``: of the answer; with frames it was read from them. ``latency_ms`` and ``error_code`` are not in the
+    file: they follow from the times and the envelope. Nor is ``variant`` where it is ``rw``, ``native`` and ``listed`` where they are true.
     """
 
-    role: Role
     adapter: str
     variant: str
     operation: str
@@ -452,11 +471,9 @@ class Call(TypedDict):
     sent_ns: Nanoseconds
     received_ns: Nanoseconds | None
     latency_ms: float | None
-    ok: bool
     envelope: dict[str, Any] | None
     native: bool
     listed: bool
-    outputs: dict[str, Any]
     error_code: str | None
     altered: NotRequired[Altered]
     taken: NotRequired[dict[str, Any]]
@@ -466,6 +483,34 @@ class Call(TypedDict):
 
 class DeviceEntry(JournalEntry):
     """A journal entry and the device that has it; no ``variant`` is the one with writes enabled."""
+
+    protocol: str
+    variant: NotRequired[str]
+
+
+class EntryEvidence(TypedDict):
+    """What a record keeps of a journal entry: of a message its ``frame`` and what that does not say, of an event every member.
+
+    Members are those of the entry that a reader makes of it, see ``JournalEntry``. An event has members of its kind beside these, and so
+    has a message whose frame held a secret, or of a protocol whose frames the kit does not decode.
+    """
+
+    seq: Count
+    t_ns: Nanoseconds
+    connection: Count
+    direction: Literal["in", "out"]
+    origin: Literal["client", "former", "stranger", "unknown", "plant", "kit"]
+    process: NotRequired[OwnerProcess]
+    frame: NotRequired[Annotated[str, msgspec.Meta(pattern=_HEXADECIMAL)]]
+    told: NotRequired[dict[str, Any]]
+    kind: NotRequired[str]
+    request: NotRequired[bool]
+    state_changing: NotRequired[bool]
+    answers: NotRequired[Count | None]
+
+
+class DeviceEvidence(EntryEvidence):
+    """What a record keeps of a journal entry, and the device that has it; see ``DeviceEntry``."""
 
     protocol: str
     variant: NotRequired[str]
@@ -580,17 +625,22 @@ class Phases(TypedDict):
     fresh_session_ok: bool | None
 
 
-class Sample(TypedDict):
+class SampleJudgement(TypedDict):
+    """What follows of a repetition."""
+
+    ok: bool
+    duration_ms: float
+    findings: list[Finding]
+    phases: Phases | None
+
+
+class Sample(SampleJudgement):
     """One repetition: its calls, what its devices saw (``device``), what was looked at, and what was found."""
 
     repetition: Count
-    ok: bool
-    duration_ms: float
     calls: list[Call]
     device: list[DeviceEntry]
     observations: list[Observation]
-    findings: list[Finding]
-    phases: Phases | None
 
 
 class Around(TypedDict):
@@ -619,7 +669,8 @@ class ItemDevice(TypedDict):
 
     ``device``: its name in the run's ``devices``. ``begin``: sequence number at which the item began, seen between ``asked_ns``
     and ``seen_ns``. ``starts``: how often the device had been started again before. ``before``: the entries from the end of the
-    last item that had the device to this one. ``quiet``: nobody called the adapter meanwhile. ``session``: its session, None when
+    last item that had the device to this one. ``missed``: entries before that which an item has taken that ended before it could keep them:
+    nothing is judged by them, what came after them is read with them. ``quiet``: nobody called the adapter meanwhile. ``session``: its session, None when
     there was none yet. ``proof``: absent as long as no session of the adapter was to be proven.
     """
 
@@ -630,6 +681,7 @@ class ItemDevice(TypedDict):
     accepting_ns: Nanoseconds
     starts: Restarts
     before: list[JournalEntry]
+    missed: NotRequired[list[JournalEntry]]
     quiet: bool
     session: SessionStart | None
     proof: NotRequired[SessionProof]
@@ -703,14 +755,9 @@ class RequirementRow(TypedDict):
     status: str
 
 
-class ItemBody(TypedDict):
-    """An item as its trial knows it, without the samples.
+class ItemJudgement(TypedDict):
+    """What follows of an item, from the suite and from what was seen."""
 
-    ``began_ns``, ``ended_ns``: of its ``worker``, whose items follow one another. ``devices``: by the adapter's name in
-    observations.
-    """
-
-    id: str
     suite: str
     family: str
     title: str
@@ -718,19 +765,29 @@ class ItemBody(TypedDict):
     requirements: list[str]
     status: State
     reason: str | None
+    findings: list[Finding]
+    requirement_rows: list[RequirementRow]
+    strangers: NotRequired[list[Stranger]]
+
+
+class ItemBody(ItemJudgement):
+    """An item as its trial knows it, without the samples.
+
+    ``began_ns``, ``ended_ns``: of its ``worker``, whose items follow one another. ``devices``: by the adapter's name in
+    observations.
+    """
+
+    id: str
     planned: Count
     worker: str
     started_at: Instant
     finished_at: Instant
     began_ns: Nanoseconds
     ended_ns: Nanoseconds
-    findings: list[Finding]
-    requirement_rows: list[RequirementRow]
     timing_ms: dict[str, float]
     devices: dict[str, ItemDevice]
     around: list[Around]
     sessions: list[SessionRemark]
-    strangers: NotRequired[list[Stranger]]
     ended: Ended | None
 
 
@@ -748,13 +805,14 @@ class Item(ItemHead):
 
 
 class Footer(TypedDict):
-    """Counts and verdict. Of a run that did not end there is only what is not optional here."""
+    """Verdict and times, and what a reader counts: ``items``, ``samples`` and ``tool_calls`` are not in the file. Of a run that did not end
+    there is only what is not optional here."""
 
     complete: bool
     reason: str | None
     items: Count
-    samples: NotRequired[Count]
-    tool_calls: NotRequired[dict[Counted, Count]]
+    samples: Count
+    tool_calls: dict[Counted, Count]
     verdict: NotRequired[str]
     deviations: NotRequired[dict[str, list[str]]]
     elapsed_s: NotRequired[Seconds]
@@ -766,7 +824,7 @@ class Footer(TypedDict):
 class Header(TypedDict):
     """A run record without items and footer."""
 
-    schema: Literal["otmcp-run/2"]
+    schema: Literal["otmcp-run/3"]
     run_id: RunId
     kit: Kit
     subject: Subject

@@ -19,11 +19,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.files import new_file, no_link
+from .layout import kept_footer, kept_head, kept_sample
 from .schema import Footer, Header, ItemHead, Sample
 
-__all__ = ["ITEMS_LINE", "RunWriter", "SampleSpool", "dump", "laid_out"]
+__all__ = ["ITEMS_LINE", "NOT_ENDED", "RunWriter", "SampleSpool", "dump", "laid_out"]
 
 ITEMS_LINE = b' "items": [\n'
+NOT_ENDED = "the run did not end"
 _BLOCK = 1 << 20
 _ITEM_END = b"\n  ]}"
 
@@ -34,13 +36,16 @@ def dump(value: object) -> bytes:
     A lone surrogate may come from a device's topic or node name. UTF-8 cannot have it and no strict reader accepts it, so it
     becomes a question mark.
     """
-    return json.dumps(value, ensure_ascii=False, allow_nan=False).encode("utf-8", "replace")
+    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode("utf-8", "replace")
 
 
 def laid_out(samples: Iterable[Sample]) -> Iterator[bytes]:
     """Return samples as the record has them in its item."""
     for index, sample in enumerate(samples):
-        yield (b",\n   " if index else b"\n   ") + dump(sample)
+        yield (b",\n   " if index else b"\n   ") + dump(kept_sample(sample))
+
+
+_UNFINISHED = b'\n ],\n "footer": ' + dump({"complete": False, "reason": NOT_ENDED}) + b"}\n"
 
 
 class SampleSpool:
@@ -62,7 +67,7 @@ class SampleSpool:
 
     def add(self, sample: Sample) -> None:
         """Append a sample."""
-        content = (b",\n   " if self._count else b"\n   ") + dump(sample)
+        content = (b",\n   " if self._count else b"\n   ") + dump(kept_sample(sample))
         # Unbuffered: what a full disk has torn must not be written again when the file is closed.
         with open(self.path, "ab", buffering=0, opener=no_link) as file:
             begin = file.tell()
@@ -116,7 +121,7 @@ class RunWriter:
         head = _head(header)
         self._end = len(head)
         with new_file(path) as file:
-            file.write(head + _unfinished(0))
+            file.write(head + _UNFINISHED)
 
     def append(self, item: ItemHead, samples: Iterable[bytes]) -> None:
         """Add an item; the file is a valid record of an unfinished run when this returns.
@@ -128,7 +133,7 @@ class RunWriter:
         Raises:
             OSError: the item could not be written; the file is as it was before.
         """
-        head = (b",\n" if self._items else b"") + b"  " + dump(item)[:-1] + b', "samples": ['
+        head = (b",\n" if self._items else b"") + b"  " + dump(kept_head(item))[:-1] + b', "samples": ['
         # Unbuffered, so that an interrupted write leaves whole lines before it.
         digest = hashlib.sha256(head.removeprefix(b",\n"))
         with open(self._path, "r+b", buffering=0, opener=no_link) as file:
@@ -140,11 +145,10 @@ class RunWriter:
                     at = _write(descriptor, at, block)
                 digest.update(_ITEM_END)
                 end = _write(descriptor, at, _ITEM_END)
-                _write(descriptor, end, _unfinished(len(self._items) + 1))
+                _write(descriptor, end, _UNFINISHED)
             except OSError:
-                footer = _unfinished(len(self._items))
-                _write(descriptor, self._end, footer)
-                file.truncate(self._end + len(footer))
+                _write(descriptor, self._end, _UNFINISHED)
+                file.truncate(self._end + len(_UNFINISHED))
                 raise
         begin = self._end + (2 if self._items else 0)
         self._items.append(_Written(order=item["order"], begin=begin, end=end, digest=digest.digest()))
@@ -181,17 +185,12 @@ class RunWriter:
             if digest.digest() != item.digest:
                 # An adapter can write wherever its user can.
                 raise OSError("another program has changed it")
-        yield b'\n ],\n "footer": ' + dump(footer)[:-1] + b",\n"
+        yield b'\n ],\n "footer": ' + dump(kept_footer(footer))[:-1] + b",\n"
 
 
 def _head(header: Header) -> bytes:
     members = b",\n ".join(dump(name) + b": " + dump(value) for name, value in header.items())
     return b"{" + members + b",\n" + ITEMS_LINE
-
-
-def _unfinished(items: int) -> bytes:
-    footer: Footer = {"complete": False, "reason": "the run did not end", "items": items}
-    return b'\n ],\n "footer": ' + dump(footer) + b"}\n"
 
 
 def _write(descriptor: int, at: int, content: bytes) -> int:

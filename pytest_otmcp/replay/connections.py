@@ -8,12 +8,13 @@ adapter's, nor the other way round.
 from __future__ import annotations
 
 from ..core.journal_entry import JournalEntry
-from ..protocols.protocol import OtProtocol
 
 __all__ = ["EVENTS", "Connections"]
 
-EVENTS = frozenset({"CONNECTED", "DISCONNECTED", "lost", "malformed", "mangled", "network"})
+EVENTS = frozenset({"CONNECTED", "DISCONNECTED", "garbage", "lost", "malformed", "mangled", "network"})
 """Kinds of entries that are no messages of a protocol: every witness has them, and none asks the device for anything."""
+_UNASKED = EVENTS - {"malformed"}
+"""Of these a device on a library may answer what the kit's codec does not understand."""
 
 _MOST_ASKED = 65_536
 """Entries that can still be answered; an answer to an earlier one is believed."""
@@ -26,12 +27,10 @@ class Connections:
     """What a device's journal has shown so far.
 
     Args:
-        protocol: of the device.
         first: sequence number at which the journal is known.
     """
 
-    def __init__(self, protocol: OtProtocol, first: int) -> None:
-        self._protocol = protocol
+    def __init__(self, first: int) -> None:
         self._asked: dict[int, tuple[int, str]] = {}
         self._known = self._next = first
         self._whose: dict[int, str] = {}
@@ -53,7 +52,7 @@ class Connections:
             self._known = entry["seq"]
             self._whole = False
         self._next = entry["seq"] + 1
-        found = self._of_kind(entry) or self._of_answer(entry) or self._of_owner(entry) or self._of_begin(entry)
+        found = self._of_answer(entry) or self._of_owner(entry) or self._of_begin(entry)
         if entry["direction"] == "in":
             self._asked[entry["seq"]] = (entry["connection"], entry["kind"])
             if len(self._asked) > _MOST_ASKED:
@@ -61,12 +60,6 @@ class Connections:
                 del self._asked[oldest]
                 self._known = oldest + 1
         return found
-
-    def _of_kind(self, entry: JournalEntry) -> str | None:
-        kind, known = entry["kind"], self._protocol.asking
-        if not known or entry["direction"] == "out" or kind in EVENTS or kind in known:
-            return None
-        return f"is of the kind {kind!r}, which nothing is that a client sends"
 
     def _of_begin(self, entry: JournalEntry) -> str | None:
         number, kind = entry["connection"], entry["kind"]
@@ -89,10 +82,7 @@ class Connections:
         connection, kind = asked
         if connection != entry["connection"]:
             return f"answers the entry {seq} of another connection"
-        # A device on a library may understand, and answer, what the kit's codec does not.
-        if kind != "malformed" and not self._protocol.is_answer(entry["kind"], kind):
-            return f"is called {entry['kind']!r} and answers the entry {seq}, which is called {kind!r}"
-        return None
+        return f"answers the entry {seq}, which is a {kind!r}" if kind in _UNASKED else None
 
     def _of_owner(self, entry: JournalEntry) -> str | None:
         number, origin = entry["connection"], entry["origin"]

@@ -4,7 +4,7 @@ From one item to the next a device's journal continues without a gap, unless the
 every look at a device says when it was asked for and when its answer was there: the entries that the look shows are from
 before the answer, the entries that it does not show are from after the question.
 
-An entry that holds bytes of the wire must say what they say: oracles judge its members, and nobody reads the bytes.
+What an entry says is read from its frame. An entry without one must be of an event that is no message, or have held a secret.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 from ..core.strict_json import same_json
 from ..protocols.registry import protocols
+from ..record.redaction import REDACTED
 from ..record.schema import Device, ItemDevice, JournalEntry, SessionStart
 from ..trial.cursor import JournalCursor
 from .connections import EVENTS, Connections
@@ -39,7 +40,7 @@ class DeviceHistory:
         self.accepting_ns = 0
         self.unknown = False
         self._protocol = protocols()[facts["protocol"]]
-        self._connections = Connections(self._protocol, facts["first"])
+        self._connections = Connections(facts["first"])
         self._floor_ns = 0
         self._last_ns = 0
         self._opened = (0, 0)
@@ -153,16 +154,27 @@ class DeviceHistory:
         """Check the entries that no earlier look has shown.
 
         Raises:
-            HistoryError: an entry contradicts itself, the bytes that it holds, or the entries before it.
+            HistoryError: an entry contradicts itself or the entries before it, or holds no message.
         """
         for entry in entries:
             if entry["seq"] < self._examined:
                 continue
             self._examined = entry["seq"] + 1
             of_order = self._connections.contradiction(entry)
-            wrong = _against_contract(entry) or self._protocol.contradiction(entry) or of_order
+            wrong = _against_contract(entry) or self._unread(entry) or of_order
             if wrong is not None:
                 raise HistoryError(f"entry {entry['seq']} of the journal of {self.name} {wrong}")
+
+    def _unread(self, entry: JournalEntry) -> str | None:
+        """Say of an entry that it was not read from a frame as it should have been; None of any other."""
+        if self._protocol.framing is None:
+            return None
+        if "frame" in entry:
+            return "has a frame that is no message" if entry["kind"] == "malformed" else None
+        is_event = entry["origin"] == "kit" or entry["kind"] in EVENTS or entry["kind"] in self._protocol.events
+        if (is_event and not entry["request"]) or REDACTED in str(entry):
+            return None
+        return f"is called {entry['kind']!r}, and has no frame"
 
 
 def _against_contract(entry: JournalEntry) -> str | None:

@@ -19,7 +19,7 @@ from ..plant.endpoint import Endpoint, endpoint_values
 from ..protocols.registry import protocols
 from ..record.consistency import inapplicable_by_steps
 from ..record.reader import StoredItem, StoredRun
-from ..record.schema import SCHEMA, Finding, Header, ItemBody, ItemHead, Sample
+from ..record.schema import CallJudgement, Finding, Header, ItemBody, ItemHead, ItemJudgement, Sample, SampleJudgement
 from ..record.schema import Endpoint as EndpointFacts
 from ..subject.claims import Claims
 from ..suite.catalogue import all_tasks, suite_digest
@@ -33,24 +33,12 @@ from .reply import UNREADABLE, HistoryError, at_its_place, restored_bindings
 
 __all__ = ["differences", "rejudge"]
 
-_OF_ITEM = ("suite", "family", "title", "capabilities", "requirements", "requirement_rows", "status", "reason")
-_OF_SAMPLE = ("ok", "duration_ms", "phases")
-_OF_CALL = (
-    "role",
-    "adapter",
-    "variant",
-    "operation",
-    "tool",
-    "arguments",
-    "latency_ms",
-    "ok",
-    "envelope",
-    "native",
-    "listed",
-    "outputs",
-    "error_code",
-    "group",
-)
+_APART = frozenset({"findings", "strangers"})
+"""Members of judgements that are compared one by one, or may be absent."""
+_OF_ITEM = [name for name in ItemJudgement.__annotations__ if name not in _APART]
+_OF_SAMPLE = [name for name in SampleJudgement.__annotations__ if name not in _APART]
+_OF_CALL = [*CallJudgement.__annotations__, "envelope", "native", "listed", "group"]
+"""Of a call also what is read from its frames, and whether it was made at the same time as others."""
 
 Said = Mapping[str, Any]
 
@@ -67,10 +55,9 @@ def rejudge(run: StoredRun) -> list[str]:
     """
     digest = suite_digest()
     stated = run.header["kit"]["suite_digest"]
-    if run.version != SCHEMA or stated != digest:
+    if stated != digest:
         return [
-            f"the run was judged by the suite {stated} and recorded as {run.version}, this is {digest} and {SCHEMA}: "
-            "judge it again with the version of the kit that made it"
+            f"the run was judged by the suite {stated}, this is {digest}: judge it again with the version of the kit that made it"
         ]
     return list(map(str, differences(run)))
 

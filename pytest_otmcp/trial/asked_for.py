@@ -14,7 +14,7 @@ _KEPT, _LONGEST = 1000, 10_000
 """Requests that are kept, and the most characters of one."""
 
 _WHEN_AND_HOW = {"seq", "t_ns", "connection", "dup", "packet_id", "answers", "client_id", "session", "owner", "peer"}
-_OF_ITS_TIME = {*_WHEN_AND_HOW, "process", "fault"}
+_OF_ITS_TIME = {*_WHEN_AND_HOW, "process", "fault", "frame", "told"}
 """Members of a journal entry that say when and how a request came, and what became of it, and not what it asks for."""
 
 

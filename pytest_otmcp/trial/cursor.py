@@ -30,6 +30,7 @@ class JournalCursor:
 
     Attributes:
         next: sequence number at which the next slice begins.
+        missed: entries that were taken in an item that ended before it could keep them.
         fed: sequence number before which the session's oracles have seen everything.
         released: sequence number before which the device has forgotten everything.
         starts: how often the device was started again.
@@ -48,6 +49,7 @@ class JournalCursor:
         self._oracles: dict[type[SessionOracle], SessionOracle] = {}
         self._faults: list[Finding] = []
         self.next = first
+        self.missed: list[Entry] = []
         self.fed = first
         self.released = first
         self.starts = 0

@@ -106,6 +106,15 @@ class LiveDriver:
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
         """Execute the steps and take the journals."""
+        try:
+            await self._perform(repetition, steps)
+        except BaseException:
+            # No part of the item will have what was taken.
+            for player in self._players:
+                player.cursor.missed += repetition.ledger.of(player.protocol, player.variant)
+            raise
+
+    async def _perform(self, repetition: Repetition, steps: Steps) -> None:
         for state in self._states:
             state.under_test.cursor.looked_through = False
         try:

@@ -68,6 +68,8 @@ class LiveItemState:
         }
         if (proof := cursor.proof) is not None:
             self._found["proof"] = proof
+        if cursor.missed:
+            self._found["missed"], cursor.missed = cursor.missed, []
         self.told_session = cursor.session
         cursor.take(journal.entries, journal.next)
         if not self._found["quiet"]:

@@ -1,8 +1,8 @@
 """Every change of one member of a run record, as a forger would make it who changes nothing else.
 
 A change is the smallest that means something: a number is one more (a monotonic time a minute later), a flag is its opposite, a text
-is another one that the record has under that name, a time of day is of another year, an item of a list is removed or repeated, a
-member is removed.
+is another one that the record has under that name, a time of day is of another year, a frame has another bit, an item of a list is removed or
+repeated, a member is removed.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from pytest_otmcp.replay.connections import EVENTS
-
 __all__ = ["Forgery", "forgeries"]
 
 Path = tuple[str | int, ...]
@@ -22,9 +20,6 @@ Path = tuple[str | int, ...]
 _MINUTE_NS = 60 * 10**9
 _LINES = {("items",), ("footer",)}
 """Members without which a file has no lines of a record."""
-
-_OF_SESSION = {"register", "register_response", "unregister"}
-"""Kinds of message that open or end a session of EtherNet/IP."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +29,7 @@ class Forgery:
     Attributes:
         place: the path without numbers and names of one run: ``items[].parts[].calls[task].ok``.
         path: of the member or item.
-        what: ``changed``, ``removed`` or ``repeated``.
+        what: ``changed``, ``garbled``, ``removed`` or ``repeated``.
         value: that it is changed to.
     """
 
@@ -100,15 +95,24 @@ def _of(value: object, path: Path, place: str, known: dict[str, list[object]]) -
     else:
         name = next(part for part in reversed(path) if isinstance(part, str))
         yield Forgery(place, path, "changed", _other(value, name, known[name]))
+        if name == "frame":
+            yield Forgery(place, path, "garbled", _garbled(str(value)))
 
 
 def _sort(inner: object) -> str:
-    """Return what tells the items of a list apart that are judged differently: a call's role, an entry's protocol, or an event's kind."""
+    """Return what tells the items of a list apart that are judged differently: a call's role, or an event's kind."""
     if not isinstance(inner, dict):
         return ""
     if "t_ns" in inner:
-        return str(inner["kind"] if inner["kind"] in EVENTS | _OF_SESSION else inner.get("protocol", ""))
-    return str(inner["role"]) if "tool" in inner and "role" in inner else ""
+        return str(inner.get("kind", ""))
+    return str(inner["judgement"]["role"]) if "tool" in inner and "judgement" in inner else ""
+
+
+def _garbled(frame: str) -> str:
+    """Return a frame with one bit turned: that in its middle."""
+    first = frame.partition(" ")[0]
+    middle = len(first) // 2
+    return f"{frame[:middle]}{int(frame[middle], 16) ^ 1:x}{frame[middle + 1 :]}"
 
 
 def _other(value: object, name: str, known: list[object]) -> object:

@@ -20,6 +20,7 @@ from pytest_otmcp.core.matrix import SUITES
 from pytest_otmcp.core.verdict import Status
 from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.record.reader import load
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.soundness.among_genuine import AmongGenuine, sooner, with_command
@@ -139,7 +140,10 @@ def _check(record: Mapping[str, Any], recipe: Recipe) -> None:
 
 def _store(record: Mapping[str, Any], recipe: Recipe) -> int:
     with tempfile.TemporaryDirectory() as directory:
-        content = store(Path(directory, "run.json"), record, recount=True).read_bytes()
+        stored = store(Path(directory, "run.json"), record)
+        if load(stored)["items"] != record["items"]:
+            raise UnusableError("the record that is read has other entries than the devices have shown")
+        content = stored.read_bytes()
     text = content.decode()
     if (found := MACHINE_PATH.search(text)) or (found := re.search(rf"\b{re.escape(socket.gethostname())}\b", text)):
         around = text[max(0, found.start() - 60) : found.end() + 60]

@@ -617,7 +617,7 @@ async def test_every_entry_has_the_fields_of_the_contract(plant: MockProgram, cl
     assert [entry["t_ns"] for entry in entries] == sorted(entry["t_ns"] for entry in entries)
     by_seq = {entry["seq"]: entry for entry in entries}
     for entry in entries:
-        assert set(JournalEntry.__annotations__) - {"process"} <= set(entry), entry
+        assert set(JournalEntry.__annotations__) - {"frame", "process", "told"} <= set(entry), entry
         assert {type(entry[name]) for name in ("seq", "t_ns", "connection")} == {int}
         assert {type(entry[name]) for name in ("request", "state_changing")} == {bool}
         assert entry["direction"] in ("in", "out")

@@ -243,6 +243,8 @@ async def test_an_answer_is_spoilt_as_a_rule_wants_it_and_the_journal_has_what_w
         "answers",
         "origin",
         "text",
+        "frame",
+        "told",
     }
     assert [
         (entry["kind"], entry["answers"], {key: value for key, value in entry.items() if key not in contract})

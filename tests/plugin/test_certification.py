@@ -153,7 +153,7 @@ def test_a_record_that_was_cut_off_is_refused(pair: tuple[Path, Path]) -> None:
 
 
 def test_a_record_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
-    pair[1].write_text(pair[1].read_text().replace('"duration_ms": ', '"duration_ms": 1', 1))
+    pair[1].write_text(pair[1].read_text().replace('"duration_ms":', '"duration_ms":1', 1))
     assert "the digest does not match: the file has been changed" in refused(pair)
 
 
@@ -182,7 +182,7 @@ def altered_certificate(directory: Path) -> None:
 
 def altered_record(directory: Path) -> None:
     path = directory / "run.json"
-    path.write_text(path.read_text().replace('"duration_ms": ', '"duration_ms": 1', 1))
+    path.write_text(path.read_text().replace('"duration_ms":', '"duration_ms":1', 1))
 
 
 def no_certificate(directory: Path, make: Callable[[Path], object]) -> None:

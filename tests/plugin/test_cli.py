@@ -228,7 +228,7 @@ def test_a_report_that_cannot_be_made_is_named(tmp_path: Path, capsys: pytest.Ca
 
 def test_no_report_is_made_from_a_record_that_was_edited(tmp_path: Path) -> None:
     edited = tmp_path / "run.json"
-    edited.write_text(SAMPLE.read_text().replace('"repetition": 3', '"repetition": 4', 1))
+    edited.write_text(SAMPLE.read_text().replace('"repetition":3', '"repetition":4', 1))
     done = otmcp("report", "run.json", cwd=tmp_path)
     assert done.returncode == 1
     assert sentence(done).startswith("otmcp: no reports: ")

@@ -77,7 +77,7 @@ BOTH = pytest.mark.parametrize("work", [verified, reported])
 @pytest.mark.long
 def test_a_regular_expression_that_never_ends_is_ended(run: Record, tmp_path: Path) -> None:
     ping(run).update(path="meta.request_id", regex="^(([0-9a-z])+.?)+[!]")
-    forged = store(tmp_path / "run.json", run, recount=True)
+    forged = store(tmp_path / "run.json", run)
     with pytest.raises(
         Refusal, match=r"run\.json cannot be examined within 1024 MB of memory and 1 s of the processor"
     ):
@@ -95,7 +95,7 @@ def test_reports_that_take_too_long_are_ended(path: Path, tmp_path: Path) -> Non
 def lists(run: Record, path: Path, number: int) -> Path:
     """Store a record with this many lists; each takes 3 bytes of the file, and some sixty of memory."""
     run["settings"]["unknown"] = "here"
-    forged = store(path, run, recount=True)
+    forged = store(path, run)
     forged.write_bytes(forged.read_bytes().replace(b'"here"', b"[" + b"[]," * number + b"[]]"))
     return forged
 
@@ -168,7 +168,7 @@ def deep_values(run: Record) -> None:
 )
 def test_a_large_number_or_text_costs_nothing(run: Record, tmp_path: Path, change: Callable[[Record], None]) -> None:
     change(run)
-    forged = store(tmp_path / "run.json", run, recount=True)
+    forged = store(tmp_path / "run.json", run)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_utime
     with pytest.raises(Refusal) as refusal:
         examine(forged)
@@ -179,7 +179,7 @@ def test_a_large_number_or_text_costs_nothing(run: Record, tmp_path: Path, chang
 
 def test_a_name_that_occurs_twice_among_many_costs_nothing(run: Record, tmp_path: Path) -> None:
     run["settings"]["unknown"] = "here"
-    forged = store(tmp_path / "run.json", run, recount=True)
+    forged = store(tmp_path / "run.json", run)
     names = b",".join(b'"%d": 0' % number for number in range(60_000))
     forged.write_bytes(forged.read_bytes().replace(b'"here"', b"{" + names + b', "59999": 1}'))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_utime
@@ -190,7 +190,7 @@ def test_a_name_that_occurs_twice_among_many_costs_nothing(run: Record, tmp_path
 
 def test_nesting_that_no_parser_follows_is_refused(run: Record, tmp_path: Path) -> None:
     run["settings"]["unknown"] = "here"
-    forged = store(tmp_path / "run.json", run, recount=True)
+    forged = store(tmp_path / "run.json", run)
     forged.write_bytes(forged.read_bytes().replace(b'"here"', b"[" * 200_000 + b"]" * 200_000))
     with pytest.raises(Refusal, match=r"run\.json: not strict JSON: nested too deeply"):
         examine(forged)
@@ -217,7 +217,7 @@ def test_reports_of_any_record_end_soon_and_in_a_sentence(
     run: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Callable[[Record], None]
 ) -> None:
     change(run)
-    forged = str(store(tmp_path / "run.json", run, recount=True))
+    forged = str(store(tmp_path / "run.json", run))
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     for files in ([forged], [forged, forged]):
         code = main(["report", *files, "--out", str(tmp_path / "out")])
@@ -283,7 +283,7 @@ def refused(shown: Shown, *files: Path) -> str:
 
 def test_nothing_of_a_record_is_printed_as_it_is(run: Record, tmp_path: Path, capsys: Shown) -> None:
     run["items"][0].update(title=HOSTILE)
-    assert "by TUV" in refused(capsys, store(tmp_path / "run.json", run, recount=True))
+    assert "by TUV" in refused(capsys, store(tmp_path / "run.json", run))
 
 
 def test_nothing_of_a_certificate_is_printed_as_it_is(path: Path, tmp_path: Path, capsys: Shown) -> None:
@@ -295,7 +295,7 @@ def test_nothing_of_a_certificate_is_printed_as_it_is(path: Path, tmp_path: Path
 
 def test_a_name_of_marks_is_printed_without_them(run: Record, tmp_path: Path, capsys: Shown) -> None:
     run["subject"]["name"] = "acme \u202egnitset"
-    assert main(["verify", str(store(tmp_path / "run.json", run, recount=True))]) == 1
+    assert main(["verify", str(store(tmp_path / "run.json", run))]) == 1
     told = capsys.readouterr().out
     assert told.startswith("verified: acme \\u202egnitset 0.1.0 is INCOMPLETE; ")
     assert not TERMINAL.search(told)
@@ -304,9 +304,9 @@ def test_a_name_of_marks_is_printed_without_them(run: Record, tmp_path: Path, ca
 def test_nothing_of_a_record_is_printed_as_it_is_with_its_reports(run: Record, tmp_path: Path, capsys: Shown) -> None:
     run["subject"].update(name="acme \u202egnitset")
     run["items"][0].update(id=HOSTILE)
-    other = store(tmp_path / "other.json", run, recount=True)
+    other = store(tmp_path / "other.json", run)
     run["items"][0].update(status="FAIL")
-    forged = store(tmp_path / "run.json", run, recount=True)
+    forged = store(tmp_path / "run.json", run)
     assert main(["report", str(forged), str(other), "--out", str(tmp_path)]) == 0
     told = capsys.readouterr().out
     assert "acme \\u202egnitset" in told

@@ -623,7 +623,7 @@ class _(Hostile):
                 path = os.path.join(folder, name)
                 if os.path.isfile(path):
                     with open(path, "r+b") as file:
-                        changed = file.read().replace(b'"FAIL"', b'"PASS"').replace(b'"ok": false', b'"ok": true ')
+                        changed = file.read().replace(b'"FAIL"', b'"PASS"').replace(b'"ok":false', b'"ok":true ')
                         file.seek(0)
                         file.write(changed)
         say(id=identifier, result=answer())

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 from pytest_otmcp.plant.journal import DeviceJournal
 from pytest_otmcp.protocols.conversation import Conversation, Direction
+from pytest_otmcp.protocols.evidence import JournalReader, evidence
 
 Entry = Any
 """An entry of any protocol; a narrower type would make every test name the protocol."""
 
 
 def decoded(conversation: Conversation, *frames: tuple[Direction, bytes], connection: int = 1) -> list[Entry]:
-    """Return the journal of a connection on which these frames passed."""
-    journal = DeviceJournal(lambda: conversation)
+    """Return the journal of a connection on which these frames passed; a record must give it back as it is."""
+    journal, again = DeviceJournal(lambda: conversation), copy.deepcopy(conversation)
     for direction, frame in frames:
         journal.frame(connection, direction, frame, None)
+    reader = JournalReader(lambda: again)
+    assert [reader.read(evidence(one)) for one in journal.since(0)] == journal.since(0)
     return journal.since(0)
 
 

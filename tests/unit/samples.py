@@ -42,10 +42,10 @@ def call(
         "arguments": {},
         "group": 1,
         "sent_ns": 0,
-        "received_ns": None,
+        "received_ns": int(latency_ms * 1e6),
         "latency_ms": latency_ms,
         "ok": ok,
-        "envelope": None,
+        "envelope": None if error_code is None else {"success": False, "error": {"code": error_code}},
         "native": True,
         "listed": True,
         "outputs": {},
@@ -157,7 +157,7 @@ def run(items: list[dict[str, Any]], *, complete: bool = True, timing_valid: boo
     """Return a consistent record of these items."""
     verdict = decide({entry["id"]: Status(entry["status"]) for entry in items}, [entry["id"] for entry in items])
     return {
-        "schema": "otmcp-run/2",
+        "schema": "otmcp-run/3",
         "run_id": RUN_ID,
         "kit": {
             "name": "pytest-otmcp",

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.protocols.bacnet import oracle
-from pytest_otmcp.protocols.bacnet.decoder import BacnetConversation, contradiction
+from pytest_otmcp.protocols.bacnet.decoder import BacnetConversation
 from pytest_otmcp.protocols.bacnet.entries import changes, describe, title
 from pytest_otmcp.protocols.bacnet.trace import facts
 from pytest_otmcp.protocols.conversation import Direction
@@ -55,19 +55,11 @@ def test_a_read_and_its_answer_are_one_exchange() -> None:
 def test_requests_are_read(datagram: str, fields: dict[str, Any]) -> None:
     found = entry(0, "in", datagram)
     assert {name: found[name] for name in fields} == fields
-    assert contradiction(found) is None
 
 
 @pytest.mark.parametrize("datagram", ["", "00", "810a0005 01", "820a0011 0104", "810a0006 0104", "810a0008 01040004"])
 def test_what_is_no_message_is_malformed(datagram: str) -> None:
     assert entry(0, "in", datagram)["kind"] == "malformed"
-
-
-def test_an_entry_that_says_something_else_than_its_datagram_is_contradicted() -> None:
-    found = entry(0, "in", WRITE)
-    found["writes"][0]["priority"] = 5
-    assert "says writes" in str(contradiction(found))
-    assert "has no datagram" in str(contradiction({**found, "bytes": "zz"}))
 
 
 def test_a_request_that_is_sent_again_with_its_invoke_id_is_one_write() -> None:

@@ -250,7 +250,6 @@ OBJECTIONABLE: list[tuple[Change, str]] = [
         lambda run: run["devices"].update(modbus=device(first=1000)),
         "the journal of modbus does not begin with the run",
     ),
-    (lambda run: run["footer"].pop("tool_calls"), "the record does not count its tool calls"),
     (
         lambda run: run["subject"]["adapters"].update(ethercat=adapter("acme-ethercat", "2026-07-28")),
         "adapter 'ethercat' is none that the kit knows",

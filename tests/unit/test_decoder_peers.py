@@ -9,7 +9,7 @@ import asyncio
 import sys
 from asyncio.subprocess import DEVNULL
 from collections import Counter
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from snap7.error import S7Error
 
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.plant.tap.stream import StreamTap
+from pytest_otmcp.protocols.evidence import JournalReader, evidence
 from pytest_otmcp.protocols.journal import JournalEntry
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
@@ -87,14 +88,15 @@ def comparable(entries: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def contradictions(protocol: str, entries: Iterable[JournalEntry]) -> list[str]:
-    """Return what ``otmcp verify`` would say against the entries, in the order of a journal from its beginning."""
-    described = protocols()[protocol]
-    connections = Connections(described, 0)
-    clauses = [
-        clause for entry in entries for clause in (described.contradiction(entry), connections.contradiction(entry))
-    ]
-    return [clause for clause in clauses if clause is not None]
+def contradictions(protocol: str, entries: Sequence[JournalEntry]) -> list[str]:
+    """Return what ``otmcp verify`` would say against the entries, in the order of a journal from its beginning, and which of them a
+    record gives back otherwise."""
+    framing = protocols()[protocol].framing
+    assert framing is not None
+    reader, connections = JournalReader(framing.conversation), Connections(0)
+    found = [connections.contradiction(entry) for entry in entries]
+    found += [f"{entry} is read otherwise" for entry in entries if reader.read(evidence(entry)) != entry]
+    return [clause for clause in found if clause is not None]
 
 
 async def test_pymodbus_is_recorded_alike_by_tap_and_mock_over_modbus() -> None:

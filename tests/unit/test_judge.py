@@ -33,7 +33,7 @@ def judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[[Chan
         plain.write_bytes(gzip.decompress(path_of(DEFECT).read_bytes()))
         record: Record = dict(load(plain))
         change(record)
-        code = main(["judge", str(store(plain, record, recount=True))])
+        code = main(["judge", str(store(plain, record))])
         return code, capsys.readouterr().out
 
     return judge
@@ -147,17 +147,12 @@ def cut_off(path: Path) -> str:
 
 def compressed_twice(path: Path) -> str:
     path.write_bytes(gzip.compress(path_of(DEFECT).read_bytes()))
-    return "not strict JSON"
+    return "not a run record of schema"
 
 
 def no_record(path: Path) -> str:
     path.write_text("{}")
     return "not a run record of schema"
-
-
-def of_a_schema_without_history(path: Path) -> str:
-    path.write_bytes((Path(__file__).parents[1] / "data" / "run-1.json").read_bytes())
-    return "cannot be judged again, only one of otmcp-run/2"
 
 
 def of_a_run_that_was_killed(path: Path) -> str:
@@ -184,7 +179,6 @@ def of_a_protocol_that_is_not_installed(path: Path) -> str:
         cut_off,
         compressed_twice,
         no_record,
-        of_a_schema_without_history,
         of_a_run_that_was_killed,
         not_there,
         of_a_protocol_that_is_not_installed,

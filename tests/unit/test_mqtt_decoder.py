@@ -53,6 +53,8 @@ def test_connect_shows_the_will_and_never_the_password() -> None:
         "keepalive": 10,
         "will": {"topic": "will/topic", "qos": 1, "retain": False, "payload": b64(b"gone")},
         "username": "user",
+        # The packet without the flag of a password, and without the password.
+        "frame": packet(0x10, string("MQTT"), "04 8E 000A", *map(string, ("me", "will/topic", "gone", "user"))).hex(),
     }
     assert b64(b"secret") not in repr(found)
 

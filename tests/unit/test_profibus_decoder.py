@@ -9,7 +9,7 @@ import pytest
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.profibus import oracle
-from pytest_otmcp.protocols.profibus.decoder import ProfibusConversation, contradiction
+from pytest_otmcp.protocols.profibus.decoder import ProfibusConversation
 from pytest_otmcp.protocols.profibus.entries import carried_out, describe, points, title
 
 SET_PRM = "680c0c68 85825d3d3e 881e0100809c01 a316"
@@ -86,16 +86,6 @@ def test_what_is_no_telegram_is_malformed(telegram: str) -> None:
 def test_what_asks_for_nothing_is_no_request(telegram: str, kind: str) -> None:
     found = entry(0, "in", telegram)
     assert (found["kind"], found["request"]) == (kind, False)
-    assert contradiction(found) is None
-
-
-def test_an_entry_that_says_something_else_than_its_telegram_is_contradicted() -> None:
-    assert contradiction(entry(0, "in", EXCHANGE)) is None
-    assert contradiction(entry(0, "out", EXCHANGED)) is None
-    assert "says data" in str(contradiction(entry(0, "in", EXCHANGE, data="1235")))
-    assert "says station" in str(contradiction(entry(0, "out", EXCHANGED, station=8)))
-    assert "says request" in str(contradiction(entry(0, "in", EXCHANGE, request=False)))
-    assert "has no telegram" in str(contradiction({**entry(0, "in", EXCHANGE), "telegram": "zz"}))
 
 
 def test_what_was_done_is_told_by_the_answer() -> None:

@@ -6,7 +6,6 @@ Changes of one member are made by ``tests/golden/test_forgeries``.
 from __future__ import annotations
 
 import copy
-import gzip
 import hashlib
 import json
 from collections.abc import Callable
@@ -25,7 +24,7 @@ from pytest_otmcp.replay.reply import recorded_reply, restored_bindings
 from pytest_otmcp.subject.model import Answering, Binding, OutputRule
 from pytest_otmcp.trial.stored import KEPT_OF_A_FRAME
 
-from ..golden.files import path_of
+from ..golden.files import recorded
 from ..plugin.places import Record, call, journal, moved, sample
 from .samples import finding
 
@@ -47,7 +46,7 @@ def failed() -> Record:
 
 def golden(name: str, count: int) -> Record:
     """Return the first items of a golden record."""
-    run: Record = json.loads(gzip.decompress(path_of(name).read_bytes()))
+    run: Record = recorded(name)
     return run | {"items": run["items"][:count]}
 
 

@@ -24,10 +24,8 @@ from ...wire.bacnet.services import (
 from ...wire.bacnet.values import Tags, value_of
 from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
-from ..journal import JournalEntry
-from ..reread import difference
 
-__all__ = ["ANSWERS", "BacnetConversation", "contradiction"]
+__all__ = ["BacnetConversation"]
 
 _LINK_REQUESTS, _LINK_CHANGES = frozenset({1, 2, 5, 6, 8, 9}), frozenset({1, 8})
 _ANSWERING = (PduType.SIMPLE_ACK, PduType.COMPLEX_ACK, PduType.ERROR, PduType.REJECT, PduType.ABORT)
@@ -66,30 +64,6 @@ class BacnetConversation:
         if found.request:
             self._outstanding.add(found.key, message)
         return [message]
-
-
-ANSWERS = frozenset({("response", "request"), ("bvlc", "bvlc")})
-"""Kinds of entries of which the first can answer the second."""
-
-_READ = ("request", "response", "message", "bvlc")
-_UNREAD = ("malformed", "network-message")
-"""Kinds of datagrams that say nothing to the device."""
-
-
-def contradiction(entry: JournalEntry) -> str | None:
-    """Say where an entry differs from its datagram; None where it does not."""
-    members: Mapping[str, Any] = dict(entry)
-    # What came in with bytes is what they say, whatever it is called; what went out may have been damaged on the way.
-    came = entry["direction"] == "in" and "bytes" in members and entry["kind"] not in _UNREAD
-    if entry["kind"] not in _READ and not came:
-        return "is called a request, and has no datagram to ask with" if entry["request"] else None
-    try:
-        datagram = bytes.fromhex(members["bytes"])
-    except (KeyError, TypeError, ValueError):
-        return f"has no datagram but {members.get('bytes')!r}"
-    found = _decoded(entry["direction"], datagram)
-    shown = {"kind": found.kind, "request": found.request, "state_changing": found.state_changing, **found.fields}
-    return difference(members, shown, "datagram")
 
 
 def _decoded(direction: Direction, datagram: bytes) -> _Decoded:

@@ -6,7 +6,7 @@ import re
 
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ANSWERS, BacnetConversation, contradiction
+from .decoder import BacnetConversation
 from .entries import carried_out, changes, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS
@@ -27,9 +27,6 @@ PROTOCOL = OtProtocol(
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     changes=changes,
     carried_out=carried_out,
-    contradiction=contradiction,
-    asking=("request", "response", "message", "bvlc", "network-message"),
-    is_answer=lambda kind, asked: (kind, asked) in ANSWERS,
     describe=describe,
     facts=facts,
     title=title,

@@ -16,16 +16,19 @@ from ...wire.dnp3.application import (
     Request,
     response_fields,
 )
-from ...wire.dnp3.link import CONFIRMED_USER_DATA, REQUEST_LINK_STATUS, UNCONFIRMED_USER_DATA, LinkFrame, Reassembly
+from ...wire.dnp3.link import (
+    CONFIRMED_USER_DATA,
+    FIRST,
+    REQUEST_LINK_STATUS,
+    UNCONFIRMED_USER_DATA,
+    LinkFrame,
+    Reassembly,
+)
 from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
-from ..journal import JournalEntry
-from ..reread import difference
 
-__all__ = ["ANSWERS", "Dnp3Conversation", "contradiction"]
+__all__ = ["Dnp3Conversation"]
 
-ANSWERS = frozenset({("response", "request"), ("unsolicited", "request"), ("link_answer", "link_request")})
-"""Kinds of entries of which the first can answer the second; a faulty device calls an answer unsolicited."""
 
 _KEPT = 300
 
@@ -35,6 +38,8 @@ class Dnp3Conversation:
 
     def __init__(self) -> None:
         self._segments: Mapping[Direction, Reassembly] = {"in": Reassembly(), "out": Reassembly()}
+        self._frames: Mapping[Direction, list[bytes]] = {"in": [], "out": []}
+        """Frames of the fragment that is being put together."""
         self._outstanding = Outstanding()
 
     def decode(self, direction: Direction, frame: bytes) -> list[Message]:
@@ -47,7 +52,11 @@ class Dnp3Conversation:
             if not link.primary or link.function not in (UNCONFIRMED_USER_DATA, CONFIRMED_USER_DATA):
                 return [self._link(direction, link)]
             fragment = self._segments[direction].take(link.data)
-            return [] if fragment is None else [self._fragment(direction, link, fragment)]
+            frames = self._frames[direction]
+            if link.data[0] & FIRST:
+                frames.clear()
+            frames.append(frame)
+            return [] if fragment is None else [self._fragment(direction, link, fragment, tuple(frames))]
         except MalformedError as error:
             return [_malformed(direction, frame, str(error))]
 
@@ -67,18 +76,20 @@ class Dnp3Conversation:
             self._outstanding.add("link", message)
         return message
 
-    def _fragment(self, direction: Direction, header: LinkFrame, fragment: bytes) -> Message:
+    def _fragment(self, direction: Direction, header: LinkFrame, fragment: bytes, frames: tuple[bytes, ...]) -> Message:
         shown = _shown(direction, fragment)
         kind, request, changing = (shown.pop(name) for name in ("kind", "request", "state_changing"))
         if direction == "out":
             answered = self._outstanding.take(shown["sequence"]) if kind == "response" else None
-            return Message(direction="out", kind=kind, fields={**shown, "apdu": fragment.hex()}, answers=answered)
+            fields = {**shown, "apdu": fragment.hex()}
+            return Message(direction="out", kind=kind, fields=fields, answers=answered, frames=frames)
         message = Message(
             direction="in",
             kind=kind,
             fields={**shown, "source": header.source, "destination": header.destination, "apdu": fragment.hex()},
             request=request,
             state_changing=changing,
+            frames=frames,
         )
         if request and header.destination not in BROADCASTS and shown["function"] != DIRECT_OPERATE_NR:
             self._outstanding.add(shown["sequence"], message)
@@ -103,19 +114,3 @@ def _shown(direction: Direction, fragment: bytes) -> dict[str, Any]:
     asks = request.function != CONFIRM
     kind = "request" if asks else "confirm"
     return {**request.described(), "kind": kind, "request": asks, "state_changing": request.state_changing}
-
-
-def contradiction(entry: JournalEntry) -> str | None:
-    """Say where an entry differs from its fragment; None where it does not."""
-    members: Mapping[str, Any] = dict(entry)
-    # What came in with a fragment is a request or a confirmation, whatever it is called; what went out may have been damaged on the way.
-    known = entry["kind"] in ("request", "confirm", "response", "unsolicited")
-    if not known and (entry["direction"] == "out" or "apdu" not in members):
-        return None
-    try:
-        shown = _shown(entry["direction"], bytes.fromhex(members["apdu"]))
-    except (KeyError, TypeError, ValueError):
-        return f"has no fragment but {members.get('apdu')!r}"
-    # Why objects cannot be read is said in the words of who read them.
-    shown.pop("problem", None)
-    return difference(members, shown, "fragment")

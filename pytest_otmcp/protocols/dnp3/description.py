@@ -7,7 +7,7 @@ import re
 from ...wire.dnp3.link import link_length
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ANSWERS, Dnp3Conversation, contradiction
+from .decoder import Dnp3Conversation
 from .entries import carried_out, changes, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS
@@ -28,9 +28,6 @@ PROTOCOL = OtProtocol(
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     changes=changes,
     carried_out=carried_out,
-    contradiction=contradiction,
-    is_answer=lambda kind, asked: (kind, asked) in ANSWERS,
-    asking=("link_request", "link_answer", "request", "confirm"),
     describe=describe,
     facts=facts,
     title=title,

@@ -6,7 +6,6 @@ Registering a session, and opening and closing connections for messages, ask the
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
 from typing import Any
 
 from ...wire.ethernetip.asked import asked_for, content_of
@@ -14,14 +13,12 @@ from ...wire.ethernetip.describe import described_reply
 from ...wire.ethernetip.frames import LIST_IDENTITY, NOP, REGISTER, SEND_RR_DATA, SEND_UNIT_DATA, UNREGISTER, Frame
 from ...wire.framing import MalformedError
 from ..conversation import Direction, Message, Outstanding
-from ..journal import JournalEntry
-from ..reread import difference
 
-__all__ = ["ANSWERS", "EthernetIpConversation", "contradiction"]
+__all__ = ["EthernetIpConversation"]
 
 _KEPT = 300
 _SESSION = ("forward_open", "forward_close")
-ANSWERS = {"request": "response", "register": "register_response", "list": "list_response"} | {
+_ANSWERS = {"request": "response", "register": "register_response", "list": "list_response"} | {
     kind: f"{kind}_response" for kind in _SESSION
 }
 
@@ -70,7 +67,7 @@ class EthernetIpConversation:
             return Message(direction="out", kind=kind, fields=fields)
         if asked.kind != "register" and "service" in asked.fields:
             fields["service"] = asked.fields["service"]
-        kind = ANSWERS[asked.kind]
+        kind = _ANSWERS[asked.kind]
         if kind == "forward_open_response" and not fields.get("status") and fields.get("items"):
             own, peer = struct.unpack_from("<II", bytes.fromhex(fields["items"][0].get("data", "")).ljust(8, b"\0"))
             self._peers[own] = peer
@@ -98,29 +95,3 @@ def _fields(direction: Direction, frame: Frame) -> tuple[str, dict[str, Any]]:
         asks = "list_identity"
         return "request", {"service": asks, "items": [{"asks": asks}], "state_changing": False}
     return "list", {"command": frame.command}
-
-
-def contradiction(entry: JournalEntry) -> str | None:
-    """Say where an entry differs from its frame; None where it does not."""
-    members: Mapping[str, Any] = dict(entry)
-    incoming = entry["direction"] == "in"
-    # What came in with a frame is told by the frame, whatever the entry says; what went out may have been damaged on the way.
-    if "frame" not in members and entry["kind"] not in ANSWERS | dict.fromkeys(ANSWERS.values()):
-        return "is called a request, and has no frame" if entry["request"] else None
-    if not incoming and entry["kind"] not in ANSWERS.values():
-        return None
-    try:
-        raw = bytes.fromhex(members["frame"])
-        if incoming and raw[0] == UNREGISTER:
-            return difference(members, {"kind": "unregister", "request": False, "state_changing": False}, "frame")
-        kind, shown = _fields(entry["direction"], Frame.parse(raw, answer=not incoming))
-    except (KeyError, TypeError, ValueError, IndexError, struct.error):
-        return f"has no frame but {members.get('frame')!r}"
-    if incoming:
-        shown |= {"kind": kind, "request": kind == "request", "state_changing": bool(shown.get("state_changing"))}
-    elif "status" in members and "status" not in shown:
-        return "has a status, its frame carries no message that could have one"
-    else:
-        # An answer's numbers are those of the client's end.
-        shown = {name: value for name, value in shown.items() if name not in ("connection_id", "sequence")}
-    return difference(members, shown, "frame")

@@ -7,7 +7,7 @@ import re
 from ...wire.ethernetip.frames import frame_length
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ANSWERS, EthernetIpConversation, contradiction
+from .decoder import EthernetIpConversation
 from .entries import carried_out, changes, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS
@@ -28,9 +28,6 @@ PROTOCOL = OtProtocol(
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     changes=changes,
     carried_out=carried_out,
-    contradiction=contradiction,
-    asking=("unregister", "list", "register", "forward_open", "forward_close", "request"),
-    is_answer=lambda kind, asked: ANSWERS.get(asked) == kind,
     describe=describe,
     facts=facts,
     title=title,

@@ -5,15 +5,10 @@ Every message of a client is a request; the functions of :data:`~pytest_otmcp.wi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from ...wire.modbus import HEADER, STATE_CHANGING, request_fields, response_fields
 from ..conversation import Direction, Message, Outstanding
-from ..journal import JournalEntry
-from ..reread import difference
 
-__all__ = ["ModbusConversation", "contradiction"]
+__all__ = ["ModbusConversation"]
 
 
 class ModbusConversation:
@@ -46,24 +41,3 @@ class ModbusConversation:
         if length != len(pdu) + 1:
             fields["length"] = length
         return [Message(direction="out", kind="response", fields=fields, answers=asked)]
-
-
-def contradiction(entry: JournalEntry) -> str | None:
-    """Say where an entry differs from its PDU; None where it does not."""
-    members: Mapping[str, Any] = dict(entry)
-    # What came in with bytes is a request, whatever it is called; what went out may have been damaged on the way.
-    if entry["kind"] not in ("request", "response") and (entry["direction"] == "out" or "pdu" not in members):
-        return "is called a request, and has no PDU" if entry["request"] else None
-    try:
-        pdu = bytes.fromhex(members["pdu"])
-    except (KeyError, TypeError, ValueError):
-        pdu = b""
-    if not pdu:
-        return f"has no PDU but {members.get('pdu')!r}"
-    if entry["direction"] == "in":
-        shown = {"kind": "request", "request": True, **request_fields(pdu), "state_changing": pdu[0] in STATE_CHANGING}
-    else:
-        # How many bits were asked for only the request says; the last byte is padded.
-        values = members.get("values")
-        shown = response_fields(pdu, {"quantity": len(values) if isinstance(values, list) else 0})
-    return difference(members, shown, "PDU")

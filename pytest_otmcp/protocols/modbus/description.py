@@ -7,7 +7,7 @@ import re
 from ...wire.modbus import mbap_length
 from ..protocol import Colour, Composite, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ModbusConversation, contradiction
+from .decoder import ModbusConversation
 from .entries import carried_out, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS
@@ -30,9 +30,6 @@ PROTOCOL = OtProtocol(
     framing=Framing(frame_length=mbap_length, conversation=ModbusConversation),
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     carried_out=carried_out,
-    contradiction=contradiction,
-    asking=("request",),
-    is_answer=lambda kind, asked: kind == "response" and asked == "request",
     describe=describe,
     facts=facts,
     title=title,

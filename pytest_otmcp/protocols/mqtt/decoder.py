@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from ...wire.framing import MalformedError
-from ...wire.mqtt.codec import decode
+from ...wire.mqtt.codec import decode, encode
 from ...wire.mqtt.packets import (
     MQTT_311,
     Ack,
@@ -34,10 +35,10 @@ from ...wire.mqtt.properties import Property
 from ...wire.mqtt.sparkplug import message_fields
 from ..conversation import Direction, Message, Outstanding
 
-__all__ = ["ANSWERS", "KINDS", "REQUESTS", "MqttConversation"]
+__all__ = ["MqttConversation"]
 
-KINDS = ("RESERVED", *PacketType.__members__)
-ANSWERS = {
+_KINDS = ("RESERVED", *PacketType.__members__)
+_ANSWERS = {
     "CONNACK": "CONNECT",
     "PUBACK": "PUBLISH",
     "PUBREC": "PUBLISH",
@@ -47,8 +48,10 @@ ANSWERS = {
     "PINGRESP": "PINGREQ",
 }
 """Answers of a broker, each with the kind of packet that it answers; a packet identifier, where it has one, says which."""
-REQUESTS = frozenset(ANSWERS.values())
+_REQUESTS = frozenset(_ANSWERS.values())
 """Packets with which a client asks the broker for something."""
+
+_CREDENTIALS = frozenset({Property.AUTHENTICATION_DATA})
 
 
 class MqttConversation:
@@ -62,7 +65,7 @@ class MqttConversation:
 
     def decode(self, direction: Direction, frame: bytes) -> list[Message]:
         """Decode one frame, see :class:`~pytest_otmcp.protocols.conversation.Conversation`; the kind is the packet's name."""
-        kind = KINDS[frame[0] >> 4]
+        kind = _KINDS[frame[0] >> 4]
         header = next(index for index, byte in enumerate(frame[1:], start=2) if not byte & 0x80)
         try:
             # An illegal topic of a broker's message is told; a client's makes it no message.
@@ -77,7 +80,16 @@ class MqttConversation:
         fields = self._fields(direction, packet)
         # An assigned identifier (MQTT 5, section 3.2.2.3.7) is known from CONNACK on.
         self.client_id = fields.get("properties", {}).get("assigned_client_identifier") or self.client_id
-        return [self._message(direction, kind, {"client_id": self.client_id, **fields})]
+        message = self._message(direction, kind, {"client_id": self.client_id, **fields})
+        message.frames = self._without_credentials(packet)
+        return [message]
+
+    def _without_credentials(self, packet: Packet) -> tuple[bytes, ...]:
+        """Return the packet as it is kept, where it may hold a credential."""
+        if not isinstance(packet, Connect | Connack | Auth):
+            return ()
+        open_ones = {name: value for name, value in packet.properties.items() if name not in _CREDENTIALS}
+        return (encode(replace(packet, properties=open_ones), self._level),)
 
     def _fields(self, direction: Direction, packet: Packet) -> dict[str, Any]:
         if not isinstance(packet, Publish):
@@ -100,16 +112,16 @@ class MqttConversation:
     def _message(self, direction: Direction, kind: str, fields: dict[str, object]) -> Message:
         packet_id = fields.get("packet_id")
         if direction == "out":
-            asked = self._outstanding.take((ANSWERS[kind], packet_id)) if kind in ANSWERS else None
+            asked = self._outstanding.take((_ANSWERS[kind], packet_id)) if kind in _ANSWERS else None
             return Message(direction="out", kind=kind, fields=fields, answers=asked)
         message = Message(
             direction="in",
             kind=kind,
             fields=fields,
-            request=kind in REQUESTS,
+            request=kind in _REQUESTS,
             state_changing=kind == "PUBLISH",
         )
-        if kind in REQUESTS and fields.get("qos") != 0:
+        if kind in _REQUESTS and fields.get("qos") != 0:
             self._outstanding.add((kind, packet_id), message)
         return message
 
@@ -120,7 +132,7 @@ def _properties(source: Packet | Will) -> dict[str, Any]:
     shown = {
         name.name.lower(): base64.b64encode(value).decode() if isinstance(value, bytes) else _listed(value)
         for name, value in given.items()
-        if name is not Property.AUTHENTICATION_DATA
+        if name not in _CREDENTIALS
     }
     return {"properties": shown} if shown else {}
 

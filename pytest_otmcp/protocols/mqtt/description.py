@@ -8,7 +8,6 @@ from ...wire.mqtt.primitives import packet_length
 from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
 from ..session_oracle import Exchanges
 from .commands import COMMAND_TOPICS, declares
-from .contradiction import contradiction, is_answer
 from .decoder import MqttConversation
 from .entries import delivered_again, describe, messages
 from .exercise import EXERCISE
@@ -66,8 +65,6 @@ PROTOCOL = OtProtocol(
     changes=messages,
     carried_out=kept_or_executed,
     again=delivered_again,
-    contradiction=contradiction,
-    is_answer=is_answer,
     describe=describe,
     facts=facts,
     stamps=stamps,
@@ -86,6 +83,7 @@ PROTOCOL = OtProtocol(
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
+    events=("BURST", "WILL"),
     session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, Births, HostState, Exchanges),
     proof=PROOF,
     exercise=EXERCISE,

@@ -2,8 +2,8 @@
 
 OPC 10000-6, section 7.1 (OPC UA Connection Protocol) and 6.7 (chunks); OPC 10000-4 for the services. Every service is a
 request, except those of :data:`SESSION_KEEPING`; those of :data:`STATE_CHANGING` may change the plant. Signed channels are
-framed but not read: their messages are of kind ``Sealed``, and such a message of a client may ask for anything. Every message keeps
-its chunks, but those with which a session is activated: they may hold a password.
+framed but not read: their messages are of kind ``Sealed``, and such a message of a client may ask for anything. Of the message with
+which a session is activated only the header is kept: it may hold a password.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ...wire.opcua import LARGEST_CHUNK
 from ..conversation import Direction, Message, Outstanding
 from .binary import BinaryReader, symbol
 
-__all__ = ["SERVICES", "SESSION_KEEPING", "STATE_CHANGING", "OpcUaConversation"]
+__all__ = ["OpcUaConversation"]
 
 _CONNECTION_PROTOCOL = {"HEL": "Hello", "ACK": "Acknowledge", "ERR": "Error", "RHE": "ReverseHello"}
 _POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
@@ -88,7 +88,7 @@ class OpcUaConversation:
 
     def __init__(self) -> None:
         self._bodies: dict[tuple[Direction, int], bytes] = {}
-        self._chunks: dict[tuple[Direction, int], bytes] = {}
+        self._chunks: dict[tuple[Direction, int], tuple[bytes, ...]] = {}
         self._outstanding = Outstanding()
         self._sealed = False
 
@@ -123,7 +123,8 @@ class OpcUaConversation:
 
     def _service(self, direction: Direction, request_id: int, frame: bytes, body: bytes) -> list[Message]:
         key, final = (direction, request_id), chr(frame[3])
-        before, chunks = self._bodies.pop(key, b""), self._chunks.pop(key, b"") + frame
+        head = frame[: len(frame) - len(body)]
+        before, chunks = self._bodies.pop(key, b""), (*self._chunks.pop(key, ()), frame)
         if final == "A":
             return [Message(direction=direction, kind="Abort", fields={"request_id": request_id})]
         body = before + body
@@ -136,10 +137,17 @@ class OpcUaConversation:
         type_id = reader.node_id()
         number = int(type_id.removeprefix("i=")) if type_id.startswith("i=") else -1
         if direction == "in":
-            return [self._request(request_id, SERVICES.get(number, type_id), reader, chunks)]
-        return [self._response(request_id, number, type_id, reader, chunks)]
+            message = self._request(request_id, SERVICES.get(number, type_id), reader)
+            if message.kind == _MAY_HOLD_CREDENTIALS:
+                # Its header says all that an entry has of it.
+                shown = head[:4] + (len(head) + len(body) - reader.left).to_bytes(4, "little") + head[8:]
+                chunks = (shown + body[: len(body) - reader.left],)
+        else:
+            message = self._response(request_id, number, type_id, reader)
+        message.frames = chunks
+        return [message]
 
-    def _request(self, request_id: int, name: str, reader: BinaryReader, chunks: bytes) -> Message:
+    def _request(self, request_id: int, name: str, reader: BinaryReader) -> Message:
         reader.node_id()
         reader.take(8)
         handle = reader.unpack("I")
@@ -150,14 +158,14 @@ class OpcUaConversation:
         message = Message(
             direction="in",
             kind=name,
-            fields={"request_id": request_id, "request_handle": handle, **_asked(name, reader), **_kept(name, chunks)},
+            fields={"request_id": request_id, "request_handle": handle, **_asked(name, reader)},
             request=name not in SESSION_KEEPING,
             state_changing=name in STATE_CHANGING,
         )
         self._outstanding.add(request_id, message)
         return message
 
-    def _response(self, request_id: int, number: int, type_id: str, reader: BinaryReader, chunks: bytes) -> Message:
+    def _response(self, request_id: int, number: int, type_id: str, reader: BinaryReader) -> Message:
         asked = self._outstanding.take(request_id)
         name = SERVICES.get(number - 3, type_id) if asked is None else asked.kind
         reader.take(8)
@@ -168,11 +176,7 @@ class OpcUaConversation:
         fields = {"request_id": request_id, "request_handle": handle, "service_result": symbol(result)}
         if number != _SERVICE_FAULT:
             fields |= _answered(name, reader)
-        return Message(direction="out", kind=name, fields=fields | _kept(name, chunks), answers=asked)
-
-
-def _kept(name: str, chunks: bytes) -> dict[str, str]:
-    return {} if name == _MAY_HOLD_CREDENTIALS else {"chunks": chunks.hex()}
+        return Message(direction="out", kind=name, fields=fields, answers=asked)
 
 
 def _connection_message(kind: str, direction: Direction, reader: BinaryReader) -> Message:

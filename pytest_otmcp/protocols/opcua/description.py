@@ -7,7 +7,6 @@ import re
 from ...wire.opcua import chunk_length
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import StateChanges
-from .contradiction import contradiction, is_answer
 from .decoder import OpcUaConversation
 from .entries import carried_out, describe
 from .exercise import EXERCISE
@@ -28,8 +27,6 @@ PROTOCOL = OtProtocol(
     framing=Framing(frame_length=chunk_length, conversation=OpcUaConversation),
     unsolicited=lambda entries, declared: no_state_changing_service(entries),
     carried_out=carried_out,
-    contradiction=contradiction,
-    is_answer=is_answer,
     describe=describe,
     facts=facts,
     mock="opcua",

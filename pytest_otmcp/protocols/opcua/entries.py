@@ -50,7 +50,6 @@ class OpcUaEntry(JournalEntry, total=False):
         results: of an answer, one for each item: an object with ``status``, the symbol of a status code.
         open_points: of an answer to Browse or BrowseNext: how many continuation points the session has open; missing for none.
         service_result: symbol of the status code of the service as a whole.
-        chunks: the message as it was on the wire, as hexadecimal digits; not of one that may hold a password.
     """
 
     nodes: list[Any]
@@ -58,7 +57,6 @@ class OpcUaEntry(JournalEntry, total=False):
     results: list[Any]
     open_points: int
     service_result: str
-    chunks: str
 
 
 def as_opcua(entry: JournalEntry) -> OpcUaEntry:

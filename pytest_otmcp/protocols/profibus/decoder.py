@@ -6,19 +6,14 @@ and says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from ...wire.framing import MalformedError
 from ...wire.profibus import SHORT_ACKNOWLEDGEMENT, TOKEN, Telegram, request_fields
 from ..conversation import Direction, Message
-from ..journal import JournalEntry
-from ..reread import difference
 
-__all__ = ["ANSWERS", "ProfibusConversation", "contradiction"]
+__all__ = ["ProfibusConversation"]
 
-ANSWERS = frozenset({("response", "request"), ("response", "cycle")})
-"""Kinds of entries of which the first can answer the second."""
 
 _KEPT = 300
 
@@ -96,25 +91,3 @@ def _fields(direction: Direction, frame: bytes) -> dict[str, Any]:
         "status": telegram.function,
         "data": telegram.data.hex(),
     }
-
-
-def contradiction(entry: JournalEntry) -> str | None:
-    """Say where an entry differs from its telegram; None where it does not."""
-    members: Mapping[str, Any] = dict(entry)
-    # What came in with a telegram is a request, whatever it is called; what went out may have been damaged on the way.
-    if entry["kind"] not in ("request", "cycle", "response") and (
-        entry["direction"] == "out" or "telegram" not in members
-    ):
-        return None
-    try:
-        shown = _fields(entry["direction"], bytes.fromhex(members["telegram"]))
-    except (KeyError, TypeError, ValueError):
-        return f"has no telegram but {members.get('telegram')!r}"
-    if entry["kind"] == "token":
-        shown["kind"] = "token"
-    elif shown["kind"] == "request" and shown["service"] == "data_exchange":
-        # Which of the two it is depends on what the slave held.
-        shown["kind"] = entry["kind"] if entry["kind"] in ("request", "cycle") else "request"
-    if shown["kind"] in ("request", "cycle"):
-        shown["request"] = shown["kind"] == "request"
-    return difference(members, shown, "telegram")

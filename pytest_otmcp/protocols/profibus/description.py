@@ -6,7 +6,7 @@ import re
 
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ANSWERS, ProfibusConversation, contradiction
+from .decoder import ProfibusConversation
 from .entries import carried_out, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS
@@ -24,12 +24,10 @@ PROTOCOL = OtProtocol(
     operations=OPERATIONS,
     probes={"missing_station": 77},
     # Telegrams are frames already: a line has no connection, and while its slaves are away it is silent.
+    events=("watchdog",),
     framing=Framing(conversation=ProfibusConversation),
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     carried_out=carried_out,
-    contradiction=contradiction,
-    is_answer=lambda kind, asked: (kind, asked) in ANSWERS,
-    asking=("request", "cycle", "token", "message"),
     describe=describe,
     facts=facts,
     title=title,

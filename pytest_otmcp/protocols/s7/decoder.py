@@ -5,20 +5,15 @@ Connecting and the agreement on a PDU ask the plant for nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from ...wire.framing import MalformedError
 from ...wire.s7 import ACK, ACK_DATA, DATA, JOB, USER_DATA, Connect, Pdu, answer_fields, request_fields
 from ..conversation import Direction, Message, Outstanding
-from ..journal import JournalEntry
-from ..reread import difference
 
-__all__ = ["ANSWERS", "S7Conversation", "contradiction"]
+__all__ = ["S7Conversation"]
 
 _COTP = {0xE0: "connect_request", 0xD0: "connect_confirm", 0x80: "disconnect_request"}
-ANSWERS = frozenset({("response", "request"), ("setup_response", "setup")})
-"""Kinds of entries of which the first can answer the second."""
 _KEPT = 300
 
 
@@ -93,21 +88,3 @@ def _fields(direction: Direction, raw: bytes) -> dict[str, Any]:
     if pdu.rosctr not in ((JOB, USER_DATA) if direction == "in" else (ACK, ACK_DATA, USER_DATA)):
         raise MalformedError(f"a PDU of the kind {pdu.rosctr} in this direction")
     return request_fields(pdu) if direction == "in" else answer_fields(pdu)
-
-
-def contradiction(entry: JournalEntry) -> str | None:
-    """Say where an entry differs from its PDU; None where it does not."""
-    members: Mapping[str, Any] = dict(entry)
-    # What came in with a PDU is a request, whatever it is called; what went out may have been damaged on the way.
-    known = entry["kind"] in ("request", "response", "setup", "setup_response")
-    if not known and (entry["direction"] == "out" or "pdu" not in members):
-        return "is called a request, and has no PDU" if entry["request"] else None
-    try:
-        raw = bytes.fromhex(members["pdu"])
-        shown = _fields(entry["direction"], raw)
-    except (KeyError, TypeError, ValueError):
-        return f"has no PDU but {members.get('pdu')!r}"
-    if entry["direction"] == "in":
-        setting_up = shown["service"] == "setup"
-        shown |= {"kind": "setup" if setting_up else "request", "request": not setting_up}
-    return difference(members, shown, "PDU")

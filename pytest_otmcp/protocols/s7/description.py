@@ -7,7 +7,7 @@ import re
 from ...wire.s7 import tpkt_length
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ANSWERS, S7Conversation, contradiction
+from .decoder import S7Conversation
 from .entries import carried_out, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS
@@ -27,9 +27,6 @@ PROTOCOL = OtProtocol(
     framing=Framing(frame_length=tpkt_length, conversation=S7Conversation),
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     carried_out=carried_out,
-    contradiction=contradiction,
-    asking=("connect_request", "connect_confirm", "disconnect_request", "setup", "request"),
-    is_answer=lambda kind, asked: (kind, asked) in ANSWERS,
     describe=describe,
     facts=facts,
     title=title,

@@ -10,6 +10,7 @@ from ..framing import MalformedError
 __all__ = [
     "ACK",
     "CONFIRMED_USER_DATA",
+    "FIRST",
     "LINK_STATUS",
     "NOT_SUPPORTED",
     "REQUEST_LINK_STATUS",
@@ -31,7 +32,8 @@ ACK, LINK_STATUS, NOT_SUPPORTED = 0, 11, 15
 _START = b"\x05\x64"
 _HEADER, _BLOCK = 10, 16
 _FROM_MASTER, _PRIMARY = 0x80, 0x40
-_FIN, _FIR = 0x80, 0x40
+_FIN, FIRST = 0x80, 0x40
+"""Bits of a transport header: the segment is the last, or the first, of its fragment."""
 _SEGMENT = 249
 """Bytes of an application fragment that a frame holds beside the transport header."""
 LARGEST_FRAGMENT = 2048
@@ -128,7 +130,7 @@ def segments(fragment: bytes, sequence: int) -> list[bytes]:
     """Return the transport segments of an application fragment; the first has this sequence number."""
     parts = [fragment[start : start + _SEGMENT] for start in range(0, len(fragment), _SEGMENT)]
     return [
-        bytes([_FIR * (not number) | _FIN * (number == len(parts) - 1) | (sequence + number) & 0x3F]) + part
+        bytes([FIRST * (not number) | _FIN * (number == len(parts) - 1) | (sequence + number) & 0x3F]) + part
         for number, part in enumerate(parts)
     ]
 
@@ -150,7 +152,7 @@ class Reassembly:
             raise MalformedError("transport: a segment without its header")
         header = segment[0]
         sequence = header & 0x3F
-        if header & _FIR:
+        if header & FIRST:
             # A first segment discards what was not finished (clause 8.2.1).
             self._fragment.clear()
         elif sequence != self._next:

@@ -36,6 +36,7 @@ from .topics import check_filter, check_name, split_shared
 
 __all__ = ["UnsupportedProtocol", "decode", "encode"]
 
+MQTT_31 = 3
 UNSUPPORTED_PROTOCOL_VERSION = 0x84
 
 _FLAGS = {PacketType.PUBREL: 2, PacketType.SUBSCRIBE: 2, PacketType.UNSUBSCRIBE: 2}
@@ -135,7 +136,7 @@ def _connect(reader: Reader, level: int) -> Connect:
     if name not in (b"MQTT", b"MQIsdp"):
         _malformed("the protocol name is not MQTT")
     level = reader.byte()
-    if (name, level) not in ((b"MQIsdp", 3), (b"MQTT", MQTT_311), (b"MQTT", MQTT_5)):
+    if (name, level) not in ((b"MQIsdp", MQTT_31), (b"MQTT", MQTT_311), (b"MQTT", MQTT_5)):
         raise UnsupportedProtocol(level)
     flags = reader.byte()
     has_will, will_qos, will_retain = bool(flags & 4), flags >> 3 & 3, bool(flags & 0x20)
@@ -343,5 +344,5 @@ def _connect_body(packet: Connect) -> bytes:
         tail += _encoded(will.properties, level) + string(will.topic) + binary(will.payload)
     if packet.username is not None:
         tail += string(packet.username)
-    head = string("MQTT") + bytes((level, flags)) + uint16(packet.keepalive)
+    head = string("MQIsdp" if level == MQTT_31 else "MQTT") + bytes((level, flags)) + uint16(packet.keepalive)
     return head + _encoded(packet.properties, level) + tail
