@@ -522,7 +522,7 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         to_come,
     ),
     "workers of pytest-xdist that had no device": (
-        "the settings say 64 workers of pytest-xdist, modbus was main's",
+        "the settings say 64 workers of pytest-xdist, ",
         lambda run: run["settings"].update(xdist_workers=64),
     ),
     "the era of the handshake": (
