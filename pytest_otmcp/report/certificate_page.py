@@ -69,6 +69,7 @@ def _meaning(level: str | None) -> str:
 
 def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
     total, counts, settings = told["counts"]["total"], told["counts"], told["settings"]
+    walls = [*told["isolation"]["seen"], *told["isolation"]["missing"]]
     return [
         (
             "Measured",
@@ -79,5 +80,6 @@ def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
             f"{total['passed']} of {total['planned']} passed, {counted(counts['tool_calls']['task'], 'tool call')}; N = {settings['reps']}",
         ),
         ("Seed", str(settings["seed"])),
+        *([("Walls", " ".join(walls))] if walls else []),
         ("Run", told["run_id"]),
     ]
