@@ -69,6 +69,7 @@ def _meaning(level: str | None) -> str:
 
 def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
     total, counts, settings = told["counts"]["total"], told["counts"], told["settings"]
+    walls = [*told["isolation"]["seen"], *told["isolation"]["missing"]]
     return [
         (
             "Measured",
@@ -80,5 +81,6 @@ def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         ("Walls", " ".join((*told["isolation"]["seen"], *told["isolation"]["missing"])) or "none were asked for"),
         ("Seed", str(settings["seed"])),
+        *([("Walls", " ".join(walls))] if walls else []),
         ("Run", told["run_id"]),
     ]

@@ -257,7 +257,7 @@ def test_what_is_required_is_not_gone_without(subject: Path) -> None:
 @pytest.mark.parametrize("mode", ["require", "auto"])
 @pytest.mark.long
 def test_a_run_where_the_machine_refuses(subject: Path, mode: str) -> None:
-    words = ("-m", "pytest", "-q", "--otmcp-reps=1", "-k", "M1", f"--otmcp-isolation={mode}", "-p", "no:cacheprovider")
+    words = ("-m", "pytest", "--otmcp-reps=1", "-k", "M1", f"--otmcp-isolation={mode}", "-p", "no:cacheprovider")
     done = refused("net", *words, cwd=subject)
     if mode == "require":
         assert done.returncode == 2, done.stdout + done.stderr
