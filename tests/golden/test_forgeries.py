@@ -105,7 +105,6 @@ BELIEVED: Mapping[str, tuple[str, ...]] = {
     ),
     "only the kit has seen it of the adapter's processes": (
         f"{_LOOK}.(handshake_era.revision|line_sent|stderr|tools)**",
-        "items[].parts[].calls[control].listed",
         "items[].sessions[]",
         "items[].sessions[].(first_stray|inspection|leaks[])",
     ),

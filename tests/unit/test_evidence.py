@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from pytest_otmcp.plant.journal import DeviceJournal
 from pytest_otmcp.protocols.evidence import JournalReader, evidence
 from pytest_otmcp.protocols.modbus.decoder import ModbusConversation
 from pytest_otmcp.protocols.mqtt.decoder import MqttConversation
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.record import load
 from pytest_otmcp.record.redaction import Redactor
 
@@ -116,3 +120,24 @@ def test_what_an_item_that_was_cut_off_has_taken_is_there_for_what_comes_after(t
     entry["devices"] = {"mqtt": found("mqtt", missed=of_device("mqtt", [connect]))}
     entry["samples"][0]["device"] = of_device("mqtt", [published])
     assert read_back(tmp_path, entry) == [entry]
+
+
+@pytest.mark.parametrize("protocol", sorted(protocols()))
+def test_any_bytes_in_the_place_of_a_frame_are_read_without_an_exception(protocol: str) -> None:
+    framing = protocols()[protocol].framing
+    assert framing is not None
+    chance, reader = random.Random(20261126), JournalReader(framing.conversation)
+    kept: dict[str, Any] = {"t_ns": 0, "connection": 1, "origin": "client"}
+    starts = (
+        b"",
+        bytes(7),
+        b"\x68\x05\x05\x68",
+        b"MSGF\0\0\0\0",
+        b"\x03\0\0\x0b\x02\xf0\x80\x32",
+        b"\x05\x64\x08\xc4",
+        b"\x6f\0",
+    )
+    for seq in range(3000):
+        frame = chance.choice(starts) + chance.randbytes(chance.randrange(1, 40))
+        entry = reader.read({**kept, "seq": seq, "direction": chance.choice(("in", "out")), "frame": frame.hex()})
+        assert isinstance(entry["kind"], str)
