@@ -816,7 +816,7 @@ class Footer(TypedDict):
     verdict: NotRequired[str]
     deviations: NotRequired[dict[str, list[str]]]
     elapsed_s: NotRequired[Seconds]
-    breakdown_s: NotRequired[dict[str, Seconds]]
+    breakdown_s: NotRequired[dict[str, float]]
     timing_valid: NotRequired[bool]
     digest: NotRequired[Digest]
 

@@ -23,7 +23,7 @@ from ..core.finding import Finding
 from ..core.strict_json import same_json
 from ..record.redaction import REDACTED
 from ..record.unread import is_unread
-from ..session.exchange import Exchange
+from ..session.exchange import Exchange, joint
 from ..subject.command import Command
 from ..subject.model import READ_WRITE, Answering, Binding, ErrorRule, OutcomeRule, OutputRule
 from ..trial.alteration import Alteration
@@ -108,10 +108,15 @@ def recorded_reply(
     listed = call["listed"] or (call["variant"] == READ_WRITE and (altered is None or altered.tool is None))
     made = {name: call[name] for name in ("adapter", "variant", "operation")}
     if binding is None:
-        reply = observe(
-            exchange,
-            Expectation(**made, deadline_s=deadline_s, answering=Answering(form="text"), outputs={}, listed=listed),
+        expected = Expectation(
+            **made,
+            deadline_s=deadline_s,
+            answering=Answering(form="text"),
+            outputs={},
+            calls=joint(call["tool"]),
+            listed=listed,
         )
+        reply = observe(exchange, expected)
         return replace_outputs(reply, call["outputs"], _refusal(call))
     return observe(exchange, Expectation.of(binding, inputs, **made, deadline_s=deadline_s, listed=listed))
 

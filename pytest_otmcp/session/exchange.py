@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-__all__ = ["CANCELLED", "CONTENT_TOO_LARGE", "Exchange", "joined"]
+__all__ = ["CANCELLED", "CONTENT_TOO_LARGE", "Exchange", "joined", "joint"]
+
+_AND = "+"
 
 CANCELLED = "cancelled"
 """Failure of an exchange that the kit itself has cancelled."""
@@ -58,9 +60,14 @@ def joined(exchanges: Sequence[Exchange], arguments: Mapping[str, object]) -> Ex
     first, last = exchanges[0], exchanges[-1]
     return replace(
         last,
-        tool="+".join(exchange.tool for exchange in exchanges),
+        tool=_AND.join(exchange.tool for exchange in exchanges),
         arguments=dict(arguments),
         request=b"\n".join(exchange.request for exchange in exchanges),
         sent_ns=first.sent_ns,
         asked_ns=first.asked_ns,
     )
+
+
+def joint(tool: str) -> int:
+    """Return how many exchanges were joined into the one of this tool."""
+    return tool.count(_AND) + 1

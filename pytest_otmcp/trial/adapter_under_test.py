@@ -29,7 +29,7 @@ from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, Footprint, StoredBinding, Tested, ToolListing, ToolsChanged, VariantName
 from ..record.schema import Device as DeviceFacts
 from ..session.canary import CANARY_VARIABLE, Leak, SecretSearch, new_canary
-from ..session.exchange import Exchange, joined
+from ..session.exchange import Exchange, joined, joint
 from ..session.footprint import footprint
 from ..session.isolation import Walls
 from ..session.limits import Allowance
@@ -753,6 +753,7 @@ class AdapterUnderTest:
             ) from error
         if not tools.exchanges:
             raise NoBindingError(f"the binding function {function.name} called no tool")
+        exchange = joined(tools.exchanges, inputs)
         expected = Expectation(
             adapter=self.adapter.protocol,
             variant=self.variant,
@@ -760,8 +761,9 @@ class AdapterUnderTest:
             deadline_s=self.deadline_s,
             answering=Answering(form="text"),
             outputs={},
+            calls=joint(exchange.tool),
         )
-        reply = observe(joined(tools.exchanges, inputs), expected)
+        reply = observe(exchange, expected)
         return replace_outputs(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
 
 

@@ -42,7 +42,8 @@ class Expectation:
     Attributes:
         adapter, variant: the adapter whose session it was, such as ``modbus`` and ``rw``.
         operation: the abstract operation, such as ``read_input``.
-        deadline_s: seconds within which the call must have answered.
+        deadline_s: seconds within which each call of a tool must have answered.
+        calls: how many of them performed the operation, one after the other; a Python function may make several.
         answering, outputs: the subject's rules for reading the answer.
         topicless: messages are payloads without their topics; ``topic`` is that of all of them, or None where it cannot be known.
         listed: the session lists the tool; the read-only variant may do without its writing tools.
@@ -54,6 +55,7 @@ class Expectation:
     deadline_s: float
     answering: Answering
     outputs: Mapping[str, OutputRule]
+    calls: int = 1
     listed: bool = True
     topicless: bool = False
     topic: str | None = None
@@ -226,7 +228,7 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
             *faults,
             *_contradictory(exchange, message),
             *_client_faults(exchange, message),
-            *_timing_faults(exchange, expected.deadline_s),
+            *_timing_faults(exchange, expected.deadline_s, expected.calls),
         ),
         native=native,
     )
@@ -348,9 +350,9 @@ def _client_faults(exchange: Exchange, message: Mapping[str, object]) -> list[Fi
     ]
 
 
-def _timing_faults(exchange: Exchange, deadline_s: float) -> list[Finding]:
+def _timing_faults(exchange: Exchange, deadline_s: float, calls: int) -> list[Finding]:
     latency_ms = exchange.latency_ms
-    if latency_ms is None or latency_ms <= deadline_s * 1000:
+    if latency_ms is None or latency_ms <= calls * deadline_s * 1000:
         return []
     return [
         Finding(

@@ -98,10 +98,10 @@ def test_a_run_for_a_challenge_is_none_for_another_one(empty_repository: Reposit
     run = load(record, allow_incomplete=True)
     run["settings"].update(challenge=other, seed=seed_of(other))
     with pytest.raises(Refusal, match="was not judged as its history deserves: M3 warmup: the steps ask for "):
-        examine(store(tmp_path / "run.json", run, recount=True), challenge=other)
+        examine(store(tmp_path / "run.json", run), challenge=other)
     del run["settings"]["challenge"]
     with pytest.raises(Refusal, match="was not made for the challenge 'buyer-2026-11-26-7f3a9c', but for none"):
-        examine(store(tmp_path / "run.json", run, recount=True), challenge=asked)
+        examine(store(tmp_path / "run.json", run), challenge=asked)
 
 
 # -- changes ---------------------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from pytest_otmcp.cli.signature import signer
 from pytest_otmcp.core.errors import UsageError
 from pytest_otmcp.core.files import new_file, read
 from pytest_otmcp.record.reader import RecordError, open_record
+from pytest_otmcp.record.schema import SCHEMA
 from pytest_otmcp.record.writer import RunWriter, SampleSpool
 from pytest_otmcp.subject import load_subject
 from pytest_otmcp.subject.functions import load_functions, named_functions
@@ -61,11 +62,11 @@ def make(request: pytest.FixtureRequest) -> Make:
 
 def test_a_record_that_something_else_has_replaced_is_not_sealed(make: Make, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
-    header: Any = {"schema": "otmcp-run/2"}
+    header: Any = {"schema": SCHEMA}
     writer = RunWriter(path, header)
     path.unlink()
     make(path)
-    item: Any = {"order": 0}
+    item: Any = {"order": 0, "devices": {}, "around": []}
     with pytest.raises(OSError, match=r"regular file|folder|directory"):
         writer.append(item, [])
     footer: Any = {"complete": True}
@@ -75,7 +76,7 @@ def test_a_record_that_something_else_has_replaced_is_not_sealed(make: Make, tmp
 
 def test_samples_go_into_a_regular_file(make: Make, tmp_path: Path) -> None:
     make(tmp_path / "spool")
-    sample: Any = {}
+    sample: Any = {"calls": [], "device": []}
     with pytest.raises(OSError, match="regular file"):
         SampleSpool(tmp_path / "spool").add(sample)
     with pytest.raises(OSError, match="regular file"):

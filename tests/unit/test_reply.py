@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.session.exchange import Exchange
+from pytest_otmcp.session.exchange import Exchange, joined, joint
 from pytest_otmcp.subject.model import Answering, ErrorRule, OutcomeRule, OutputRule
 from pytest_otmcp.trial.reply import Expectation, Reply, observe, replace_outputs
 
@@ -38,6 +38,7 @@ def observed(
         deadline_s=1.0,
         answering=answering,
         outputs=more.pop("outputs", {}),
+        calls=more.pop("calls", 1),
         listed=listed,
     )
     return observe(exchange, expected)
@@ -183,6 +184,13 @@ def test_an_answer_after_the_deadline_is_late_and_still_read() -> None:
     assert codes(reply) == ["deadline_missed"]
     assert "answered after 1200 ms, deadline 1 s" in reply.faults[0].message
     assert reply.success is True
+
+
+def test_each_of_several_calls_has_the_deadline() -> None:
+    parts = [Exchange(tool="poll", arguments={}, sent_ns=at, received_ns=at + 900_000_000) for at in (0, 10**9)]
+    calls = joint(joined(parts, {}).tool)
+    assert codes(observed(result("Wrote 5"), received_ns=1_900_000_000, calls=calls)) == []
+    assert codes(observed(result("Wrote 5"), received_ns=2_100_000_000, calls=calls)) == ["deadline_missed"]
 
 
 def test_what_the_official_client_rejects_is_told_of_a_result_only() -> None:

@@ -83,6 +83,7 @@ def writes_blocks_of_one(server: AdapterServer) -> None:
 
     class Blocks:
         ping = staticmethod(genuine.ping)
+        present = staticmethod(genuine.present)
 
         async def write_register(self, call: Any, arguments: Any) -> None:
             await genuine.write_registers(call, WriteRegisters(address=arguments.address, values=[arguments.value]))
