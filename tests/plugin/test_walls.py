@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.core.walls import WALLS
+from pytest_otmcp.record import load
 from tests.walls.outside import Outside
 from tests.walls.test_walls import isolation_or_skip
 
@@ -64,7 +65,7 @@ MODES = [("require", set[str]()), pytest.param("off", ALL, marks=pytest.mark.lon
 def test_doctor(run: Run, outside: Outside, mode: str, came: set[str]) -> None:
     done = run(("modbus",), "-m", "pytest_otmcp.cli", "doctor", "--subject=reaching.toml", f"--isolation={mode}")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert set(outside.came) == came
+    assert outside.reached() == came
 
 
 @pytest.mark.long
@@ -73,7 +74,7 @@ def test_call(run: Run, outside: Outside, mode: str, came: set[str]) -> None:
     words = ("call", "--subject=reaching.toml", f"--isolation={mode}", "read_holding", "address=1", "count=1")
     done = run(("modbus",), "-m", "pytest_otmcp.cli", *words)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert set(outside.came) == came
+    assert outside.reached() == came
 
 
 @pytest.mark.long
@@ -84,7 +85,7 @@ def test_init(run: Run, outside: Outside, tmp_path: Path, mode: str, came: set[s
     command = (sys.executable, str(REACHING_OUT), str(tmp_path / "outside.json"), "modbus")
     done = run((), "-m", "pytest_otmcp.cli", "init", f"--isolation={mode}", *words, "--", *command)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert set(outside.came) == came
+    assert outside.reached() == came
 
 
 @pytest.mark.long
@@ -92,9 +93,9 @@ def test_init(run: Run, outside: Outside, tmp_path: Path, mode: str, came: set[s
 def test_suite(run: Run, outside: Outside, tmp_path: Path, mode: str, came: set[str]) -> None:
     words = ("--otmcp-subject=reaching.toml", "--otmcp-reps=1", "--otmcp-suite=normal", f"--otmcp-isolation={mode}")
     done = run(("modbus", "mqtt", "opcua", "profibus"), "-m", "pytest", "-q", *words)
-    record = json.loads((tmp_path / "reports" / "latest" / "run.json").read_text(encoding="utf-8"))
+    record = load(tmp_path / "reports" / "latest" / "run.json")
     assert {item["status"] for item in record["items"]} == {"PASS"}, done.stdout + done.stderr
-    assert set(outside.came) == came
+    assert outside.reached() == came
     assert record["environment"]["walls"] == dict.fromkeys(
         WALLS, None if mode == "require" else "they were switched off"
     )

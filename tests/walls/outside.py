@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 _BYTES = 65536
+_PATIENCE_S = 60
 
 
 class Outside:
@@ -23,6 +24,8 @@ class Outside:
 
     def __init__(self, elsewhere: Path) -> None:
         self.came: dict[str, int] = {}
+        self._last = secrets.token_bytes(16)
+        self._served = threading.Semaphore(0)
         self._kept = ExitStack()
         directory = self._kept.enter_context(tempfile.TemporaryDirectory(prefix="outside-"))
         self.name = f"outside-{secrets.token_hex(8)}"
@@ -48,12 +51,35 @@ class Outside:
             while True:
                 connection, _ = server.accept()
                 with connection, suppress(OSError):
-                    self.came[kind] = self.came.get(kind, 0) + max(1, len(connection.recv(_BYTES)))
+                    self._note(kind, connection.recv(_BYTES))
 
     def _receive(self, server: socket.socket) -> None:
         with suppress(OSError):
             while data := server.recv(_BYTES):
-                self.came["udp"] = self.came.get("udp", 0) + len(data)
+                self._note("udp", data)
+
+    def _note(self, kind: str, data: bytes) -> None:
+        if data == self._last:
+            self._served.release()
+        else:
+            self.came[kind] = self.came.get(kind, 0) + max(1, len(data))
+
+    def reached(self) -> set[str]:
+        """Return which servers something has come to. Each serves what this sends, and before that everything that came earlier."""
+        streams = (
+            (socket.AF_INET, self.tcp.getsockname()),
+            (socket.AF_UNIX, f"\0{self.name}"),
+            *((socket.AF_UNIX, path) for path in self.paths.values()),
+        )
+        for family, address in streams:
+            with socket.socket(family) as client:
+                client.connect(address)
+                client.sendall(self._last)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            client.sendto(self._last, self.udp.getsockname())
+        for _ in range(len(streams) + 1):
+            assert self._served.acquire(timeout=_PATIENCE_S)
+        return set(self.came)
 
     def addresses(self) -> dict[str, Any]:
         """Return where everything is."""

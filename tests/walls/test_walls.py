@@ -70,7 +70,7 @@ def seen(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     try:
         worked = asyncio.run(_intrude(isolation, [sys.executable, str(INTRUDER), json.dumps(target)], cwd, work))
         left = {name for name, path in files.items() if path.exists()}
-        yield Seen(worked=worked, came=set(outside.came), left=left, alive=_alive(outside.name))
+        yield Seen(worked=worked, came=outside.reached(), left=left, alive=_alive(outside.name))
     finally:
         shell.kill()
         shell.wait()
@@ -155,7 +155,7 @@ def test_a_keeper_that_was_killed_has_a_successor_with_the_same_walls(tmp_path: 
         asyncio.run(_intrude(isolation, command, tmp_path, tmp_path))
         with isolation.socket(socket.SOCK_STREAM) as made, pytest.raises(ConnectionRefusedError):
             made.connect(outside.tcp.getsockname())
-        assert outside.came == {}
+        assert outside.reached() == set()
     finally:
         outside.close()
         isolation.close()
@@ -172,7 +172,7 @@ def test_what_is_opened_can_be_reached_and_nothing_else(tmp_path: Path) -> None:
     opened = walls.open_to(reads=[outside.paths["path"]], writes=[str(written)])
     try:
         worked = asyncio.run(_start(opened, [sys.executable, str(INTRUDER), json.dumps(target)], tmp_path))
-        assert set(outside.came) == {"tcp", "udp", "abstract", "path"}
+        assert outside.reached() == {"tcp", "udp", "abstract", "path"}
         assert (written / "file").exists()
         assert not any(worked[attempt] for attempt in ("signal", "secret", "privileges"))
         assert not (tmp_path / "work").exists()
