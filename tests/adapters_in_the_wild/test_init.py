@@ -98,7 +98,18 @@ class Done:
         watch = {"PYTHONPATH": str(WATCH), "WATCH_LOG": str(log), "WATCH_MOCK": "{host}:{port}"}
         options = [part for name, value in watch.items() for part in ("--env", f"{name}={value}")]
         self.process = subprocess.run(
-            [sys.executable, "-m", "pytest_otmcp.cli", "init", *launch.options(), *options, "--", *launch.command],
+            # Connections in a network of the run's own could not be watched from here.
+            [
+                sys.executable,
+                "-m",
+                "pytest_otmcp.cli",
+                "init",
+                "--isolation=off",
+                *launch.options(),
+                *options,
+                "--",
+                *launch.command,
+            ],
             cwd=directory,
             capture_output=True,
             text=True,

@@ -255,6 +255,7 @@ async def test_a_connection_that_ends_inside_a_frame_is_told_as_such(modbus: Moc
     assert await modbus.control.journal(kind="request") == []
 
 
+@pytest.mark.long
 async def test_a_client_that_never_reads_is_no_longer_listened_to(modbus: MockProgram) -> None:
     deaf, good = await Raw.connect(modbus), await Raw.connect(modbus)
     reading = adu(1, "03 0000 0064") * 1000

@@ -84,6 +84,7 @@ def test_a_regular_expression_that_never_ends_is_ended(run: Record, tmp_path: Pa
         verified(forged, Bounds(processor_s=1))
 
 
+@pytest.mark.long
 def test_reports_that_take_too_long_are_ended(path: Path, tmp_path: Path) -> None:
     copied = shutil.copy(path, tmp_path)
     with pytest.raises(

@@ -314,6 +314,7 @@ async def test_twin(otmcp_device):
 """
 
 
+@pytest.mark.long
 def test_the_device_of_a_third_partys_protocol_is_poked_and_says_what_it_has_seen(
     empty_repository: Repository,
 ) -> None:

@@ -186,6 +186,7 @@ server.run()
 )
 
 
+@pytest.mark.long
 def test_an_adapter_that_connects_in_the_background_is_waited_for(proposed: Proposed) -> None:
     told, adapter = proposed(BACKGROUND, "modbus", "PLC")
     assert "ready           connection_status (it said 'state: connecting' at first)" in told

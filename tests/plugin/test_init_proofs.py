@@ -407,6 +407,7 @@ def test_a_type_that_a_tool_refuses_says_nothing_about_the_others(
     )
 
 
+@pytest.mark.long
 def test_a_tool_that_answers_for_one_node_alone_is_no_binding(read_of: Callable[[str], tuple[str, Adapter]]) -> None:
     told, adapter = read_of("first")
     assert (

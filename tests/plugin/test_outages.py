@@ -87,6 +87,7 @@ def test_who_tells_as_written_what_could_not_be_written_does_not_conform(
 
 
 @pytest.mark.parametrize("protocol", EVERY)
+@pytest.mark.long
 def test_its_honest_twin_conforms(tmp_path: Path, warm_start: WarmStart, protocol: str) -> None:
     honest = outcome(tmp_path, warm_start, protocol, ADAPTERS, protocol)
     assert honest.verdict == "CONFORMANT", honest.output

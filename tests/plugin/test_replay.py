@@ -276,6 +276,7 @@ def test_a_device_need_not_keep_what_the_record_has(warm_start: WarmStart) -> No
     assert rejudge(record) == []
 
 
+@pytest.mark.long
 def test_a_recovery_trial_without_a_first_success_ends_there(bench_of: Callable[..., Record]) -> None:
     run = bench_of(program(*ROGUE, "not-json"), "R-modbus")
     (item,) = run["items"]

@@ -101,6 +101,7 @@ def test_suite(run: Run, outside: Outside, tmp_path: Path, mode: str, came: set[
     )
 
 
+@pytest.mark.long
 def test_what_a_shell_makes_in_the_working_directory_is_seen(tmp_path: Path) -> None:
     isolation_or_skip().close()
     defective = LAUNCH.replace("reference_adapters", "reference_adapters.defects")

@@ -163,6 +163,7 @@ def reference_scheme(protocol: str) -> str:
 @pytest.mark.parametrize(
     "protocol", [pytest.param(name, marks=() if name == "mqtt" else pytest.mark.long) for name in OUTAGE]
 )
+@pytest.mark.long
 def test_an_adapter_that_goes_over_to_the_plant_in_an_outage_is_not_told_to_write_there(
     loop: LoopThread, plant: Plant, elsewhere: Elsewhere, warm_start: WarmStart, protocol: str
 ) -> None:

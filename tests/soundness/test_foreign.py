@@ -111,6 +111,7 @@ READY = 'ready = { tool = "connection_status", text = "^state: connected$" }'
 STARTS = "start_timeout_s = 1.0"
 
 
+@pytest.mark.long
 def test_an_adapter_that_connects_in_the_background_is_waited_for(judge_foreign: Judge) -> None:
     tasks, _ = HONEST["modbus-prose"]
     claims = "unclaimed = { ping"

@@ -97,6 +97,7 @@ def test_an_honest_adapter_that_treats_texts_otherwise_is_accused_of_nothing(jud
 
 
 @pytest.mark.parametrize("name", some([name for name in ZOO if name.startswith("bounds/")], 4))
+@pytest.mark.long
 def test_an_honest_adapter_that_keeps_bounds_in_its_own_way_is_accused_of_nothing(judge: Judge, name: str) -> None:
     protocol = ZOO[name].protocol
     accused_of_nothing(judge, name, f"WR-006.{protocol} WR-007.{protocol}")

@@ -90,6 +90,7 @@ def test_a_missing_command_is_named(judge: Judge) -> None:
     assert "the command 'adapter-of-nobody' was not found" in words(results)
 
 
+@pytest.mark.long
 def test_a_process_that_never_exits_is_killed_and_reported(judge: Judge) -> None:
     results = judge("modbus", command=rogue("never-exits"), tasks="R-modbus", time_scale=IMPATIENT)
     assert "did not exit within" in words(results)

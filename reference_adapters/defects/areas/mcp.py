@@ -198,7 +198,6 @@ DEFECTS: tuple[Defect, ...] = (
         "An argument with an unknown name is ignored.",
         unknown_arguments_ignored,
         "MCP-004",
-        quick=True,
     ),
     defect(
         "MU-47b",

@@ -64,12 +64,12 @@ def publishing(server: AdapterServer, change: Callable[[Publish], dict[str, Any]
     genuine = tools_of(server, "get_broker_info")
 
     class Changed:
-        get_broker_info = staticmethod(genuine.get_broker_info)
+        def __getattr__(self, name: str) -> Any:
+            return getattr(genuine, name)
 
         async def publish_message(self, call: Any, arguments: Publish) -> Any:
             return await genuine.publish_message(call, arguments.model_copy(update=change(arguments)))
 
-    # The named tools use these two methods and no other.
     server.add(mqtt_named.NamedTools(cast(Any, Changed())))
 
 
@@ -82,8 +82,8 @@ def writes_blocks_of_one(server: AdapterServer) -> None:
     genuine = tools_of(server, "ping")
 
     class Blocks:
-        ping = staticmethod(genuine.ping)
-        present = staticmethod(genuine.present)
+        def __getattr__(self, name: str) -> Any:
+            return getattr(genuine, name)
 
         async def write_register(self, call: Any, arguments: Any) -> None:
             await genuine.write_registers(call, WriteRegisters(address=arguments.address, values=[arguments.value]))
@@ -103,8 +103,8 @@ def reads_between_its_writes(server: AdapterServer) -> None:
     genuine = tools_of(server, "ping")
 
     class Careful:
-        ping = staticmethod(genuine.ping)
-        write_coil = staticmethod(genuine.write_coil)
+        def __getattr__(self, name: str) -> Any:
+            return getattr(genuine, name)
 
         async def write_register(self, call: Any, arguments: Any) -> None:
             await genuine.write_register(call, arguments)
