@@ -37,7 +37,7 @@ deadline_s = 10
 """
 
 
-def run(root: Path, *command: str, timeout: float = 300) -> subprocess.CompletedProcess[str]:
+def run(root: Path, *command: str, timeout: float = 900) -> subprocess.CompletedProcess[str]:
     """Run a program of the environment in ``root``, without the variables of this Python and this pytest."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST", "VIRTUAL"))}
     program = root / ".venv" / "bin" / command[0]
@@ -151,7 +151,7 @@ def test_a_subject_file_is_certified_and_the_certificate_verified(
 ) -> None:
     subject = tmp_path_factory.mktemp("subject") / "otmcp.toml"
     subject.write_text(SUBJECT)
-    certified = run(empty, "otmcp", "certify", "--subject", str(subject), "--out", "certificate", timeout=600)
+    certified = run(empty, "otmcp", "certify", "--subject", str(subject), "--out", "certificate", timeout=1800)
     assert certified.returncode == 0, certified.stdout + certified.stderr
     statement = json.loads((empty / "certificate" / "certificate.json").read_text())
     assert statement["predicateType"].startswith("https://in-toto.io/attestation/")

@@ -22,7 +22,7 @@ def otmcp(*arguments: str, cwd: Path, environment: dict[str, str] | None = None)
         env=os.environ | (environment or {}),
         capture_output=True,
         text=True,
-        timeout=600,
+        timeout=1800,
         check=False,
     )
 

@@ -93,7 +93,7 @@ def test_init(run: Run, outside: Outside, tmp_path: Path, mode: str, came: set[s
 def test_suite(run: Run, outside: Outside, tmp_path: Path, mode: str, came: set[str]) -> None:
     words = ("--otmcp-subject=reaching.toml", "--otmcp-reps=1", "--otmcp-suite=normal", f"--otmcp-isolation={mode}")
     done = run(("modbus", "mqtt", "opcua", "profibus"), "-m", "pytest", "-q", *words)
-    record = load(tmp_path / "reports" / "latest" / "run.json")
+    record = load(tmp_path / "reports" / "latest" / "run.json", allow_incomplete=True)
     assert {item["status"] for item in record["items"]} == {"PASS"}, done.stdout + done.stderr
     assert outside.reached() == came
     assert record["environment"]["walls"] == dict.fromkeys(

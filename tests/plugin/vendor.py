@@ -144,7 +144,7 @@ class Repository:
             cwd=self.root,
             capture_output=True,
             text=True,
-            timeout=300,
+            timeout=900,
             check=False,
             env=self.environment(plugins=plugins, path=path),
         )

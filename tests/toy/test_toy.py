@@ -59,7 +59,12 @@ def subject(tmp_path: Path, *, manner: str = "honest") -> None:
 
 
 def record(tmp_path: Path) -> Any:
-    return json.loads((tmp_path / RUN).read_text(encoding="utf-8"))
+    """Return the record as it is read where the toy is installed, whose decoder its frames need."""
+    program = (
+        f"import json; from pytest_otmcp.record import load; print(json.dumps(load('{RUN}', allow_incomplete=True)))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(SITE)}
+    return json.loads(subprocess.check_output([sys.executable, "-c", program], cwd=tmp_path, env=environment))
 
 
 @pytest.mark.long
