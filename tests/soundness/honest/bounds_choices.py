@@ -69,7 +69,7 @@ def _by_prefix(adapter: Adapter) -> Adapter:
     described=_by_prefix,
 )
 def lists_beginnings(server: AdapterServer) -> None:
-    core_bounds._covers = lambda pattern, topic: topic.startswith(pattern.replace("*/speed", "line-1"))
+    core_bounds.covers = lambda pattern, topic: topic.startswith(pattern.replace("*/speed", "line-1"))
 
 
 @opcua(

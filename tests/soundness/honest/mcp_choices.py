@@ -69,12 +69,12 @@ def deeper_than_it_reads(server: AdapterServer, answer: Callable[[], Awaitable[R
     """Let what is nested more than 150 deep be answered in this way, as by a parser that has given up on the message."""
     genuine = server._answer
 
-    async def answered(tool: Any, arguments: Any) -> Result:
+    async def answered(tool: Any, arguments: Any, context: Any) -> Result:
         value, levels = [arguments], 0
         while value and levels <= LEVELS_READ:
             inner = (one.values() if isinstance(one, dict) else one for one in value)
             value, levels = [one for part in inner for one in part if isinstance(one, dict | list)], levels + 1
-        return await (answer() if value else genuine(tool, arguments))
+        return await (answer() if value else genuine(tool, arguments, context))
 
     server._answer = answered
 
