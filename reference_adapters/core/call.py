@@ -149,13 +149,13 @@ class Call:
 
     def success(self, data: dict[str, Any]) -> dict[str, Any]:
         """Return the envelope of a call that succeeded."""
-        return {"success": True, "data": data, "error": None, "meta": self._meta(None)}
+        return {"success": True, "data": data, "error": None, "meta": self._closed(None)}
 
     def failure(self, error: AdapterError) -> dict[str, Any]:
         """Return the envelope of a call that failed."""
         data = None if error.partial is None else {"partial": error.partial}
         described = error.as_error(writes=self.writes, sent=self.writes_sent > 0)
-        return {"success": False, "data": data, "error": described, "meta": self._meta(described)}
+        return {"success": False, "data": data, "error": described, "meta": self._closed(described)}
 
     def cancelled(self) -> None:
         """Note that nobody waits for the answer any more."""
@@ -163,10 +163,14 @@ class Call:
             outcome = "unknown" if self.writes_sent else "not_sent"
             self.gate.ended(self._request_id, {"code": "cancelled", "outcome": outcome})
 
-    def _meta(self, error: dict[str, Any] | None) -> dict[str, Any]:
+    def _closed(self, error: dict[str, Any] | None) -> dict[str, Any]:
+        """Close the call's record, where there is an audit log, and return the member ``meta``."""
         if self.gate is not None:
             self.gate.ended(self._request_id, error)
             self.extra |= self.gate.meta
+        return self._meta()
+
+    def _meta(self) -> dict[str, Any]:
         started = self._started_at.isoformat(timespec="milliseconds").replace("+00:00", "Z")
         return {
             "schema": "otmcp/1.0",

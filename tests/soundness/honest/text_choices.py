@@ -66,8 +66,8 @@ def texts_in_full(server: AdapterServer) -> None:
 def marks_a_whole_subtree(server: AdapterServer) -> None:
     genuine = Call._meta
 
-    def meta(self: Call, error: dict[str, Any] | None) -> dict[str, Any]:
-        found = genuine(self, error)
+    def meta(self: Call) -> dict[str, Any]:
+        found = genuine(self)
         return {**found, "untrusted": ["/data"]} if "untrusted" in found else found
 
     Call._meta = meta
