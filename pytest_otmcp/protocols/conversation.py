@@ -7,7 +7,7 @@ answer refers to the message object that it answers.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -34,6 +34,7 @@ class Message:
         answers: the message of the other direction that this one answers.
         frames: to be kept of it: where several frames made it, or where its own holds a credential, which must not be kept.
             A conversation that decodes them in this order makes the same message of them.
+        unsure: members of the entry that the bytes do not settle, so that a mock may know better; it is believed about no other.
         seq: its number in the journal, once it has one.
     """
 
@@ -44,6 +45,7 @@ class Message:
     state_changing: bool = False
     answers: Message | None = None
     frames: Sequence[bytes] = ()
+    unsure: Collection[str] = ()
     seq: int | None = None
 
 

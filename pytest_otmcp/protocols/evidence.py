@@ -15,7 +15,7 @@ from .conversation import Conversation, Conversations, Direction, Message
 
 __all__ = ["JournalReader", "entry_of", "evidence"]
 
-_EVIDENCE = (*("protocol", "variant", "seq", "t_ns", "connection", "direction", "origin", "process", "frame", "told"),)
+_EVIDENCE = ("protocol", "variant", "seq", "t_ns", "connection", "direction", "origin", "process", "frame", "told")
 """Members of a message's entry that do not follow from others."""
 _OF_OTHERS = frozenset({"plant", "kit"})
 
@@ -37,7 +37,8 @@ def entry_of(
     Args:
         message: as it was decoded; it gets the number of the entry.
         frame: that made it; None for an event, whose entry is kept as it is.
-        told: what the device says beside the frame; also ``answers``, where it is another entry than the decoder knows.
+        told: what the device says beside the frame. Of what the frame says too it is believed about ``answers`` alone, since a fault may
+            make an answer name another request, and about what the bytes do not settle (:attr:`Message.unsure`).
         seq, t_ns, connection, origin: see :class:`~pytest_otmcp.core.journal_entry.JournalEntry`.
     """
     of_client = origin not in _OF_OTHERS
@@ -54,12 +55,15 @@ def entry_of(
         "origin": origin,
         **message.fields,
     }
-    if frame is None or message.kind == "malformed":
-        return cast(JournalEntry, {**entry, **told})
-    more = {name: value for name, value in told.items() if name not in entry or entry[name] != value}
-    entry |= {**more, "frame": " ".join(one.hex() for one in message.frames or (frame,))}
-    if more:
-        entry["told"] = more
+    unsure = {"answers", *message.unsure}
+    more = {
+        name: value for name, value in told.items() if name not in entry or (name in unsure and entry[name] != value)
+    }
+    entry |= more
+    if frame is not None and message.kind != "malformed":
+        entry["frame"] = " ".join(one.hex() for one in message.frames or (frame,))
+        if more:
+            entry["told"] = more
     return cast(JournalEntry, entry)
 
 
@@ -101,7 +105,8 @@ class JournalReader:
             connection=kept["connection"],
             origin=kept["origin"],
         )
-        return cast(Entry, {**entry, **kept})
+        # A record may say more of a message than a witness does; none of that is believed.
+        return cast(Entry, {**entry, **{name: value for name, value in evidence(kept).items() if name != "told"}})
 
     def _decoded(self, connection: int, direction: Direction, frames: str) -> Message:
         found: list[Message] = []

@@ -61,16 +61,40 @@ def test_a_message_is_kept_as_its_frame_and_an_event_as_it_is() -> None:
     assert evidence(event) == event
 
 
-def test_what_the_device_says_beside_the_frame_is_kept_unless_the_frame_says_it() -> None:
+def test_what_the_device_says_beside_the_frame_is_kept_and_what_the_frame_says_is_read_from_it_alone() -> None:
     device = DeviceJournal(ModbusConversation)
     record = {"number": 0, "t_ns": 1, "connection": 1, "direction": "in", "origin": "client", "answers": None}
-    told = {"fault": {"drop": True}, "unit": 1, "address": 9}
+    told = {"fault": {"drop": True}, "unit": 1, "address": 9, "state_changing": True}
     device.take(
         {"first": 0, "next": 1, "peers": {}, "records": [{**record, "frame": READ_COILS.hex(), "fields": told}]}
     )
     (entry,) = device.since(0)
-    assert evidence(entry)["told"] == {"fault": {"drop": True}, "address": 9}
+    assert evidence(entry)["told"] == {"fault": {"drop": True}}
+    assert (entry["address"], entry["state_changing"]) == (3, False)
     assert JournalReader(ModbusConversation).read(evidence(entry)) == entry
+
+
+@pytest.mark.parametrize("frame", [READ_COILS.hex(), "00"])
+def test_what_a_record_says_of_a_message_beside_its_frame_is_not_believed(frame: str) -> None:
+    (asked,) = journal(ModbusConversation, ("in", READ_COILS))
+    kept = {**evidence(asked), "frame": frame}
+    lies = {"kind": "response", "request": False, "state_changing": True, "address": 9}
+    honest = JournalReader(ModbusConversation).read(kept)
+    assert JournalReader(ModbusConversation).read({**kept, **lies}) == honest
+    told = JournalReader(ModbusConversation).read({**kept, "told": lies})
+    assert {name: told[name] for name in honest} == honest
+
+
+def test_what_the_bytes_do_not_settle_the_device_may_know() -> None:
+    connect = bytes.fromhex("10 0c 0004 4d515454 04 02 003c 0000")
+    (told,) = journal(MqttConversation, ("in", connect))
+    assert (
+        JournalReader(MqttConversation).read({**evidence(told), "told": {"client_id": "given"}})["client_id"] == "given"
+    )
+    (named,) = journal(MqttConversation, ("in", CONNECT_5))
+    assert (
+        JournalReader(MqttConversation).read({**evidence(named), "told": {"client_id": "given"}})["client_id"] == "me"
+    )
 
 
 def test_the_journal_of_a_device_that_was_started_again_is_read_from_its_beginning() -> None:

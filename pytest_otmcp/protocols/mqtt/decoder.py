@@ -82,6 +82,9 @@ class MqttConversation:
         self.client_id = fields.get("properties", {}).get("assigned_client_identifier") or self.client_id
         message = self._message(direction, kind, {"client_id": self.client_id, **fields})
         message.frames = self._without_credentials(packet)
+        if not self.client_id:
+            # A broker that gives a client of 3.1.1 its identifier tells nobody (section 3.1.3.1).
+            message.unsure = ("client_id",)
         return [message]
 
     def _without_credentials(self, packet: Packet) -> tuple[bytes, ...]:

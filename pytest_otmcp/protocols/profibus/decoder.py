@@ -57,6 +57,7 @@ class ProfibusConversation:
             fields=fields,
             request=not cycle,
             state_changing=changes,
+            unsure=("kind", "request", "state_changing") if service == "data_exchange" else (),
         )
         return self._asked
 
