@@ -1,6 +1,6 @@
-"""Says which outside witnesses did not run: software that nobody here wrote, such as MCP's own conformance suite and inspector.
+"""Says what did not run: outside witnesses, which is software that nobody here wrote, and walls that this machine refuses.
 
-A test that needs such software is skipped where it cannot be had, and a green run would look as if the witness had agreed.
+A test that needs one is skipped where it cannot be had, and a green run would look as if the witness had agreed and the walls had stood.
 """
 
 from __future__ import annotations
@@ -11,7 +11,11 @@ from typing import Protocol
 
 __all__ = ["Skipped", "not_run"]
 
-_FOLDER = "foreign_software/"
+_TOLD = {
+    "foreign_software/": "OUTSIDE WITNESS NOT RUN (tests with foreign software: {count}): {reason}",
+    "test_walls": "WALLS NOT TRIED (tests: {count}): {reason}",
+}
+"""A part of a test's id, and the line about such tests."""
 
 
 class Skipped(Protocol):
@@ -22,7 +26,12 @@ class Skipped(Protocol):
 
 
 def not_run(skipped: Iterable[Skipped]) -> Iterator[str]:
-    """Yield a line for each reason for which tests with foreign software were skipped."""
-    reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in skipped if _FOLDER in report.nodeid)
-    for reason, count in reasons.items():
-        yield f"OUTSIDE WITNESS NOT RUN (tests with foreign software: {count}): {reason}"
+    """Yield a line for each reason for which such tests were skipped."""
+    reasons = Counter(
+        (part, report.longrepr[2].removeprefix("Skipped: "))
+        for report in skipped
+        for part in _TOLD
+        if part in report.nodeid
+    )
+    for (part, reason), count in reasons.items():
+        yield _TOLD[part].format(count=count, reason=reason)

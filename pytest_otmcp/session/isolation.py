@@ -27,6 +27,10 @@ from .keeping import Keeper
 
 __all__ = ["Isolation", "Walls"]
 
+_FOLDERS = ("/tmp", "/var/tmp")  # noqa: S108  (not used: the adapter gets empty ones in their place)
+_EXACT = ("/run/", "/dev/")
+"""Folders that are the adapter's own: below the first ones all that lies beside a named path is needed, below the others that path alone."""
+_KIT = Path(__file__).parents[2]
 _OF_A_VIEW = tuple(wall for wall in WALLS if wall != NETWORK)
 _ANSWER_BYTES = 4096
 _PATIENCE_S = 60.0
@@ -249,11 +253,6 @@ def _needed(command: Sequence[str], env: Mapping[str, str], cwd: str) -> Iterato
                 yield os.path.join(folder, path[len(folder) + 1 :].split("/")[0])
             elif path.startswith(_EXACT):
                 yield path
-
-
-_FOLDERS = ("/tmp", "/var/tmp")  # noqa: S108
-_EXACT = ("/run/", "/dev/")
-_KIT = Path(__file__).parents[2]
 
 
 def _is_socket(path: str) -> bool:

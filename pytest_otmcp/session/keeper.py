@@ -56,7 +56,9 @@ _MOST_TOLD = 20
 _HUNT_S = 15.0
 """Seconds for which processes are killed that do not end; the kit waits longer than that for a watcher."""
 _LOOK_S = 0.2
+"""Seconds between two looks at all processes while processes are killed."""
 _PAUSE_S = 0.0005
+"""Seconds until the numbers that were given meanwhile are looked at. The kernel reports no birth of a grandchild that could be waited for."""
 
 
 _libc = ctypes.CDLL(None)

@@ -432,6 +432,28 @@ class Mock:
         self.launcher.stdout.close()
 
 
+OverHttp = Callable[[list[str], Mapping[str, str]], contextlib.AbstractContextManager[str]]
+
+
+@pytest.fixture(scope="session")
+def over_http() -> OverHttp:
+    """A function that starts an adapter over streamable HTTP, and gives its URL."""
+    return _over_http
+
+
+@contextlib.contextmanager
+def _over_http(command: list[str], settings: Mapping[str, str]) -> Iterator[str]:
+    env = {**os.environ, "MCP_TRANSPORT": "streamable-http", "MCP_HTTP_PORT": "0", **settings}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=env) as process:
+        try:
+            assert process.stderr
+            next(process.stderr)
+            # The URL is used as soon as it is announced.
+            yield next(process.stderr).split()[-1]
+        finally:
+            process.terminate()
+
+
 @pytest.fixture(scope="session")
 def fork_server() -> Iterator[ForkServer]:
     server = ForkServer()

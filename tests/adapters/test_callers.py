@@ -7,10 +7,9 @@ import contextlib
 import io
 import json
 import os
-import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from pytest_otmcp.reference_adapters import modbus
 from pytest_otmcp.reference_adapters.core.run import serve
 
 from .cases import MODBUS
-from .conftest import LEGACY, MODERN, PATIENCE_S, Mock, Rig
+from .conftest import LEGACY, MODERN, PATIENCE_S, Mock, OverHttp, Rig
 
 pytestmark = pytest.mark.usefixtures("clean")
 CASE = MODBUS
@@ -83,9 +82,9 @@ def log(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def url(issuer: Issuer, settings: dict[str, str], log: Path) -> Iterator[str]:
+def url(issuer: Issuer, settings: dict[str, str], log: Path, over_http: OverHttp) -> Iterator[str]:
     """The adapter over HTTP; OT_ROLE says what it must not be taken for."""
-    with over_http(settings | authorised(issuer) | {"OT_AUDIT_LOG": str(log)}) as found:
+    with over_http(COMMAND, settings | authorised(issuer) | {"OT_AUDIT_LOG": str(log)}) as found:
         yield found
 
 
@@ -96,18 +95,6 @@ def authorised(issuer: Issuer) -> dict[str, str]:
         "MCP_AUTH_KEYS": str(issuer.keys),
         "OT_ROLE": "engineer",
     }
-
-
-@contextlib.contextmanager
-def over_http(settings: Mapping[str, str]) -> Iterator[str]:
-    env = {**os.environ, "MCP_TRANSPORT": "streamable-http", "MCP_HTTP_PORT": "0", **settings}
-    with subprocess.Popen(COMMAND, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=env) as process:
-        try:
-            assert process.stderr
-            next(process.stderr)
-            yield next(process.stderr).split()[-1]
-        finally:
-            process.terminate()
 
 
 def post(url: str, token: str | None, address: int = 20, **arguments: Any) -> httpx2.Response:

@@ -14,7 +14,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
@@ -488,24 +487,7 @@ def test_files_instead_of_pipes_do_not_hang(tmp_path: Any) -> None:
     assert done.returncode == 0
 
 
-@contextlib.contextmanager
-def over_http(**settings: str) -> Iterator[str]:
-    """The toy over streamable HTTP; its URL is used as soon as it is announced."""
-    with subprocess.Popen(
-        [sys.executable, __file__],
-        stderr=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        text=True,
-        env={**os.environ, "MCP_TRANSPORT": "streamable-http", "MCP_HTTP_PORT": "0", **settings},
-    ) as process:
-        try:
-            assert process.stderr
-            next(process.stderr)
-            yield next(process.stderr).split()[-1]
-        finally:
-            process.terminate()
-
-
+ITSELF = [sys.executable, __file__]
 HEADERS = {
     "Accept": "application/json, text/event-stream",
     "MCP-Protocol-Version": MODERN,
@@ -520,39 +502,42 @@ CALL = {
 }
 
 
-def test_streamable_http_serves_the_same_tools_from_the_moment_of_its_announcement() -> None:
+def test_streamable_http_serves_the_same_tools_from_the_moment_of_its_announcement(over_http: Any) -> None:
     import httpx2
 
-    with over_http() as url:
+    with over_http(ITSELF, {}) as url:
         text = httpx2.post(url, json=CALL, headers=HEADERS, timeout=60.0).text
         payload = json.loads(text if text.startswith("{") else text.partition("data: ")[2].splitlines()[0])
         error = payload["result"]["structuredContent"]["error"]
         assert (error["code"], error["field"]) == ("invalid_input", "/word")
 
 
-def test_only_the_web_pages_that_are_named_may_call() -> None:
+def test_only_the_web_pages_that_are_named_may_call(over_http: Any) -> None:
     import httpx2
 
     named = "http://localhost:6274"
     others = ["http://evil.example", "http://localhost:6275", "http://localhost", "http://127.0.0.1:6274", "null"]
-    with over_http(MCP_HTTP_ORIGINS=f"{named}, https://plant.example") as url, httpx2.Client(timeout=60.0) as client:
+    with (
+        over_http(ITSELF, {"MCP_HTTP_ORIGINS": f"{named}, https://plant.example"}) as url,
+        httpx2.Client(timeout=60.0) as client,
+    ):
 
         def status(origin: str) -> int:
             return client.post(url, json=CALL, headers={**HEADERS, "Origin": origin}).status_code
 
         assert [status(named), status("https://plant.example")] == [200, 200]
         assert [status(origin) for origin in others] == [403] * len(others)
-    with over_http() as url:
+    with over_http(ITSELF, {}) as url:
         own = url.removesuffix("/mcp")
         assert httpx2.post(url, json=CALL, headers={**HEADERS, "Origin": own}, timeout=60.0).status_code == 200
         assert httpx2.post(url, json=CALL, headers={**HEADERS, "Origin": f"{own}0"}, timeout=60.0).status_code == 403
 
 
-def test_an_answer_over_http_is_not_held_back() -> None:
+def test_an_answer_over_http_is_not_held_back(over_http: Any) -> None:
     # Nagle's algorithm held each answer's body back until the client's delayed ACK: never less than 40 ms, after the first
     # answers of a connection, which Linux acknowledges at once. The fastest of twenty is not a question of a busy machine.
     times = []
-    with over_http() as url:
+    with over_http(ITSELF, {}) as url:
         connection = http.client.HTTPConnection(urlsplit(url).netloc, timeout=60.0)
         for _ in range(60):
             begun = time.perf_counter()

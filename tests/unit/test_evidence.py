@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.plant.journal import DeviceJournal
+from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.evidence import JournalReader, evidence
 from pytest_otmcp.protocols.modbus.decoder import ModbusConversation
 from pytest_otmcp.protocols.mqtt.decoder import MqttConversation
@@ -27,10 +28,10 @@ PUBLISH_5 = bytes.fromhex("30 07 0001 61 02 0101 31")
 """A message of MQTT 5, whose payload is text as a property says; to 3.1.1 the property is a part of the payload."""
 
 
-def journal(conversation: Any, *frames: tuple[str, bytes]) -> list[Entry]:
+def journal(conversation: Any, *frames: tuple[Direction, bytes]) -> list[Entry]:
     found = DeviceJournal(conversation)
     for direction, frame in frames:
-        found.frame(1, direction, frame, None)  # type: ignore[arg-type]
+        found.frame(1, direction, frame, None)
     return found.since(0)
 
 
