@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     from ..certificate.eligibility import MINIMUM_REPS, unguarded, unhurried
     from ..subject import load_subject, reference_subject
     from ..subject.claims import Claims
-    from .issue import concluded, write, write_pages
+    from .issuing import concluded, write, write_pages
     from .signature import check_key, sign
 
     if args.sign is not None:

@@ -18,8 +18,8 @@ Account = Mapping[Wall, str | None]
 WALLS: Mapping[Wall, str] = {
     NETWORK: "no address outside this run could be reached",
     "processes": "no process outside could be seen or signalled, and none that an adapter started is left",
-    "files": "no file outside could be changed, and no device and no Unix socket that was there at its start be reached, but what the "
-    "subject file names",
+    "files": "no file outside could be changed, and no device or Unix socket that existed at its start could be reached, except those that "
+    "the subject file names",
 }
 """Each wall, and what a run shows around whose adapters it stood."""
 

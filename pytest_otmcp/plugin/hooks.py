@@ -123,7 +123,7 @@ def pytest_configure(config: pytest.Config) -> None:
     try:
         settings = read_settings(config)
         config.stash[SETTINGS] = replace(settings, only=known_rows(settings.only))
-        config.stash[BASELINE] = _read_baseline(settings.baseline)
+        config.stash[BASELINE] = None if _is_worker(config) else _read_baseline(settings.baseline)
     except UsageError as error:
         refuse(error)
     default_to_suite(config)

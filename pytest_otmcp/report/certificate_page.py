@@ -5,7 +5,7 @@ Programs judge ``certificate.json``; this page repeats it on a sheet of paper, a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..core.text import counted
@@ -33,8 +33,13 @@ def certificate_page(certificate: Mapping[str, Any], sha256: str, *, signed: boo
         subject=subject["name"],
         rows=[_row(protocol, facts, told) for protocol, facts in told["adapters"].items()],
         facts=_facts(told),
-        files=[("Subject file", subject), *((entry["name"], entry) for entry in kit), ("run.json", record)],
-        sha256=sha256,
+        digests=[
+            ("Subject file", subject["digest"]["sha256"]),
+            *_programs(told),
+            *((entry["name"], entry["digest"]["sha256"]) for entry in kit),
+            ("run.json", record["digest"]["sha256"]),
+            ("certificate.json", sha256),
+        ],
         warnings=told["warnings"],
         not_claimed=[
             (protocols()[protocol].name, name, reason)
@@ -59,6 +64,14 @@ def _row(protocol: str, facts: Mapping[str, Any], told: Mapping[str, Any]) -> di
     }
 
 
+def _programs(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the program that each adapter's command starts, as far as the kit can know it, and its digest."""
+    for protocol, facts in told["adapters"].items():
+        tested = facts["tested"]
+        if tested is not None and tested["program_sha256"] is not None:
+            yield f"{protocols()[protocol].name}, {tested['program']}", tested["program_sha256"].partition(":")[2]
+
+
 def _meaning(level: str | None) -> str:
     """Return what a level allows, which is what it and every level below it says."""
     if level is None:
@@ -79,8 +92,8 @@ def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
             "Repetitions",
             f"{total['passed']} of {total['planned']} passed, {counted(counts['tool_calls']['task'], 'tool call')}; N = {settings['reps']}",
         ),
-        ("Walls", " ".join((*told["isolation"]["seen"], *told["isolation"]["missing"])) or "none were asked for"),
-        ("Seed", str(settings["seed"])),
         *([("Walls", " ".join(walls))] if walls else []),
+        *([("Challenge", settings["challenge"])] if "challenge" in settings else []),
+        ("Seed", str(settings["seed"])),
         ("Run", told["run_id"]),
     ]

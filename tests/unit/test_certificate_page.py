@@ -57,7 +57,23 @@ def test_what_is_not_claimed_is_there_with_the_reason_of_the_vendor_and_none_of_
 def test_the_walls_that_stood_and_those_that_were_missing_are_said(statement: dict[str, Any]) -> None:
     walls = {"seen": ["No address outside this run could be reached."], "missing": ["No wall around files: refused."]}
     statement["predicate"]["otmcp"]["isolation"] = walls
-    assert "Walls No address outside this run could be reached. No wall around files: refused." in shown(statement)
+    words = shown(statement)
+    assert "Walls No address outside this run could be reached. No wall around files: refused." in words
+    assert words.count("Walls") == 1
+
+
+def test_the_program_that_was_started_is_named_with_its_digest(statement: dict[str, Any]) -> None:
+    statement["predicate"]["otmcp"]["adapters"]["modbus"]["tested"] = {
+        "program": "acme-modbus",
+        "program_sha256": f"sha256:{'e' * 64}",
+    }
+    assert f"Modbus, acme-modbus sha256 {'e' * 64}" in shown(statement)
+
+
+def test_a_run_for_a_challenge_names_it(statement: dict[str, Any]) -> None:
+    assert "Challenge" not in shown(statement)
+    statement["predicate"]["otmcp"]["settings"]["challenge"] = "buyer-2026-11-26-7f3a9c"
+    assert "Challenge buyer-2026-11-26-7f3a9c" in shown(statement)
 
 
 @pytest.mark.parametrize(
