@@ -245,7 +245,6 @@ def _written_without_device(
         succeeds_when_gone(tool, **said),
         items,
         requirements,
-        quick=protocol == "modbus",
     )
 
 

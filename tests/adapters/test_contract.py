@@ -32,6 +32,10 @@ def each(values: Callable[[Case], Iterable[Any]]) -> list[Any]:
 
 
 every_case = pytest.mark.parametrize("case", CASES, ids=str)
+waiting_case = pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=() if case is CASES[0] else pytest.mark.long) for case in CASES], ids=str
+)
+"""For what waits; the fast lane has the first adapter alone."""
 every_write = pytest.mark.parametrize(("case", "tool"), each(lambda case: case.writes))
 every_answered_write = pytest.mark.parametrize(("case", "tool"), each(lambda case: case.answered))
 break_off = pytest.mark.parametrize("action", [{"reset": True}, {"close": True}], ids=["reset", "close"])
@@ -263,7 +267,7 @@ def test_every_call_ends_by_its_deadline_though_the_device_swallows_them_all(rig
     rig.ask()
 
 
-@every_case
+@waiting_case
 def test_the_deadline_comes_in_real_time(rig: Rig) -> None:
     tool, prefix = rig.case.write, rig.case.prefix
     limits = {f"{prefix}_TIMEOUT_S": "600", f"{prefix}_DEADLINE_S": str(REAL_DEADLINE_S)}
@@ -337,7 +341,7 @@ def test_parallel_calls_share_one_connection(rig: Rig) -> None:
 # -- the life of an adapter --------------------------------------------------------------------------------------
 
 
-@every_case
+@waiting_case
 def test_the_adapter_starts_without_its_device_heals_and_leaves_in_order(rig: Rig) -> None:
     device, case = rig.device, rig.case
     with rig.outage():

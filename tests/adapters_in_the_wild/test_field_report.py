@@ -20,7 +20,9 @@ def test_every_example_has_a_record() -> None:
     assert set(recorded()) == set(NAMES)
 
 
-@pytest.mark.parametrize("name", recorded())
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long if number % 4 else ()) for number, name in enumerate(recorded())]
+)
 def test_a_record_is_of_the_whole_suite_and_of_the_subject_file_as_it_is(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

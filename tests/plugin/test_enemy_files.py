@@ -102,6 +102,7 @@ def lists(run: Record, path: Path, number: int) -> Path:
 
 
 @BOTH
+@pytest.mark.long
 def test_a_record_that_needs_too_much_memory_is_refused(run: Record, tmp_path: Path, work: Work) -> None:
     forged = lists(run, tmp_path / "run.json", 1 << 22)
     with pytest.raises(Refusal, match=r"run\.json cannot be examined within 256 MB of memory"):

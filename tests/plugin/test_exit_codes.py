@@ -108,6 +108,7 @@ def import_late(monkeypatch):
 """
 
 
+@pytest.mark.long
 def test_no_item_begins_beside_an_import(repository: Repository) -> None:
     # Two threads that parse at the same time fail now and then before Python 3.11.8 and 3.12.2: an item was a fault of the kit.
     repository.subject()

@@ -359,12 +359,8 @@ def _moments() -> Iterator[Any]:
         "terminal_summary(config)",
     ):
         for ending in ("SIGTERM", "SIGINT"):
-            few = (moment, ending) in (
-                ("collectstart(collector)", "SIGTERM"),
-                ("runtest_logreport(report)", "SIGTERM"),
-                ("terminal_summary(config)", "SIGINT"),
-            )
-            yield pytest.param(moment, ending, marks=() if few else pytest.mark.long)
+            one = (moment, ending) == ("runtest_logreport(report)", "SIGTERM")
+            yield pytest.param(moment, ending, marks=() if one else pytest.mark.long)
 
 
 @pytest.mark.usefixtures("interruptible")

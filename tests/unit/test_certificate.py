@@ -346,6 +346,7 @@ def test_a_change_of_any_value_is_found_and_located(statement: dict[str, Any]) -
         assert str(path[-1]) in sentences[0]
 
 
+@pytest.mark.long
 def test_what_is_left_out_or_put_in_is_found(statement: dict[str, Any]) -> None:
     for path in leaves(statement):
         changed = copy.deepcopy(statement)

@@ -1,7 +1,7 @@
 """Decoder of PROFIBUS telegrams; :mod:`pytest_otmcp.wire.profibus` says what their bytes mean.
 
-Whether a Data_Exchange changes outputs cannot be read in its bytes: the conversation remembers those before it. A mock knows better,
-and says so.
+Whether a request changes anything cannot be read in its bytes: it depends on the state of the slave, and of a Data_Exchange on the outputs
+before it, which the conversation remembers. A mock knows better, and says so.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class ProfibusConversation:
             fields=fields,
             request=not cycle,
             state_changing=changes,
-            unsure=("kind", "request", "state_changing") if service == "data_exchange" else (),
+            unsure=("kind", "request", "state_changing"),
         )
         return self._asked
 
