@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import fcntl
 import os
 import socket
@@ -185,8 +186,13 @@ def enclose(
         _place(tree, path)
         os.close(tree)
     for path in sockets:
-        if os.path.lexists(path) and os.path.realpath(path) not in (*reads, *writes):
-            _mount("/dev/null", path, "", _BIND)
+        if os.path.realpath(path) not in (*reads, *writes):
+            try:
+                _mount("/dev/null", path, "", _BIND)
+            except RefusedError as error:
+                # Whoever made the socket may have removed it at any moment.
+                if error.errno not in (errno.ENOENT, errno.ENOTDIR):
+                    raise
     os.chdir(cwd)
 
 

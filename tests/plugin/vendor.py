@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,13 +47,21 @@ def port_of(listener: socket.socket) -> str:
     return str(listener.getsockname()[1])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Outcome:
     """The outcome of one pytest run in the repository."""
 
     code: int
     output: str
     report: Path
+
+    def __repr__(self) -> str:
+        """Say what a failed assertion has to say: pytest prints no more than some 200 characters of this."""
+        with suppress(Exception):
+            for item in self.record["items"]:
+                if item["status"] == "KIT_ERROR":
+                    return f"<{self.code} {item['id']} {item['findings'][0]['message'][:180]}>"
+        return f"<{self.code} {self.output[-180:]}>"
 
     @property
     def record(self) -> dict[str, Any]:
