@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import os
+import resource
 import signal
 import socket
 import sys
@@ -17,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 MARK = b"intruder"
+PTRACE_ATTACH, PTRACE_DETACH = 16, 17
 
 
 def _sends(family: int, kind: int, address: Any) -> Callable[[], bool]:
@@ -80,25 +83,62 @@ def _breeds(seconds: float) -> bool:
     return seconds > 0
 
 
+def _limits(number: int) -> Callable[[], bool]:
+    def limit() -> bool:
+        resource.prlimit(number, resource.RLIMIT_CORE, (0, 0))
+        return True
+
+    return limit
+
+
+def _traces(number: int) -> Callable[[], bool]:
+    def trace() -> bool:
+        libc = ctypes.CDLL(None, use_errno=True)
+        if libc.ptrace(PTRACE_ATTACH, number, None, None) < 0:
+            return False
+        os.waitpid(number, 0)
+        libc.ptrace(PTRACE_DETACH, number, None, None)
+        return True
+
+    return trace
+
+
+def _moves() -> bool:
+    os.rename("reports", "elsewhere")
+    return True
+
+
+def _puts_a_pipe_in_place_of_a_file() -> bool:
+    os.unlink("run.json")
+    os.mkfifo("run.json")
+    return True
+
+
 def main() -> None:
     """Try, and say what worked."""
     outside = json.loads(sys.argv[1])
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    other = outside["process"]
     attempts: dict[str, Callable[[], bool]] = {
-        "tcp": _sends(socket.AF_INET, socket.SOCK_STREAM, tuple(outside["tcp"])),
-        "udp": _sends(socket.AF_INET, socket.SOCK_DGRAM, tuple(outside["udp"])),
-        "abstract": _sends(socket.AF_UNIX, socket.SOCK_STREAM, f"\0{outside['abstract']}"),
-        "path": _sends(socket.AF_UNIX, socket.SOCK_STREAM, outside["path"]),
-        "home": _sends(socket.AF_UNIX, socket.SOCK_STREAM, outside["home"]),
-        "signal": _signals(outside["process"]),
-        "secret": _reads_a_secret_of_others,
+        "connects to a TCP port": _sends(socket.AF_INET, socket.SOCK_STREAM, tuple(outside["tcp"])),
+        "sends a UDP datagram": _sends(socket.AF_INET, socket.SOCK_DGRAM, tuple(outside["udp"])),
+        "connects to an abstract Unix socket": _sends(socket.AF_UNIX, socket.SOCK_STREAM, f"\0{outside['abstract']}"),
+        "connects to a Unix socket below `/tmp`": _sends(socket.AF_UNIX, socket.SOCK_STREAM, outside["path"]),
+        "connects to a Unix socket elsewhere": _sends(socket.AF_UNIX, socket.SOCK_STREAM, outside["home"]),
+        "signals another process": _signals(other),
+        "traces another process": _traces(other),
+        "limits the resources of another process": _limits(other),
+        "writes to the standard output of another process": _writes(f"/proc/{other}/fd/1"),
+        "reads the environment of another process": _reads_a_secret_of_others,
+        "leaves a chain of processes that fork and exit": lambda: _breeds(outside["breed"]),
+        "writes a file": _writes(outside["file"]),
+        "writes a file below `/tmp`": _writes(f"/tmp/{outside['abstract']}"),  # noqa: S108
+        "writes a `conftest.py` in its working directory": _writes("conftest.py"),
+        "moves a folder of its working directory": _moves,
+        "puts a pipe in place of a file": _puts_a_pipe_in_place_of_a_file,
+        "declared": _writes(outside["work"]),
         "disk": _sees_the_disk,
         "privileges": _gains_privileges,
-        "file": _writes(outside["file"]),
-        "own": _writes("own.txt"),
-        "temporary": _writes(f"/tmp/{outside['abstract']}"),  # noqa: S108
-        "work": _writes(outside["work"]),
-        "breed": lambda: _breeds(outside["breed"]),
     }
     worked = {}
     for name, attempt in attempts.items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.core.errors import UsageError
-from pytest_otmcp.core.walls import OFF, REQUIRE
+from pytest_otmcp.core.walls import AUTO, OFF, REQUIRE, WALLS, Wall
 from pytest_otmcp.session.isolation import Isolation, Walls
 from pytest_otmcp.session.process import SubjectProcess
 
@@ -24,6 +25,25 @@ from .outside import Outside
 INTRUDER = Path(__file__).parent / "intruder.py"
 HERE = Path(__file__).parent
 GRACE_S = 5.0
+CHAIN = "leaves a chain of processes that fork and exit"
+
+
+TABLE = Path(__file__).parents[2] / "docs" / "isolation.md"
+STOPPED_BY: dict[str, set[Wall]] = {
+    attempt: {wall for wall in WALLS if f"`{wall}`" in stopped}
+    for attempt, stopped in re.findall(
+        r"^\| (?!what)(.+) \| (`.+) \|$", TABLE.read_text().split("\n## What was tried\n")[1], re.MULTILINE
+    )
+}
+"""The table of the documents: what a program tries, and the walls of which each stops it."""
+
+SERVERS = {
+    "connects to a TCP port": "tcp",
+    "sends a UDP datagram": "udp",
+    "connects to an abstract Unix socket": "abstract",
+    "connects to a Unix socket below `/tmp`": "path",
+    "connects to a Unix socket elsewhere": "home",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,16 +51,17 @@ class Seen:
     """What an intruder could do.
 
     Attributes:
-        worked: attempt to whether it worked.
-        came: what came outside.
-        left: files that it left.
-        own: it saw its own file in its working directory.
+        standing: the walls around it.
+        worked: attempt to whether it saw it work; behind walls that can be in a view of the machine of its own.
+        harm: attempts that changed or reached something outside.
+        declared: what it wrote to a folder that is open to it was there.
         alive: processes that it had started and that were there after its end.
     """
 
+    standing: frozenset[Wall]
     worked: dict[str, bool]
-    came: set[str]
-    left: set[str]
+    harm: set[str]
+    declared: bool
     alive: int
 
 
@@ -51,33 +72,65 @@ def isolation_or_skip() -> Isolation:
         pytest.skip(str(refused))
 
 
-@pytest.fixture(scope="module", params=["walls", "no walls"])
+def isolation_with(standing: frozenset[Wall]) -> tuple[Isolation, Walls | None]:
+    """Return an isolation and walls of which just these stand."""
+    if not standing:
+        isolation = Isolation(OFF)
+        return isolation, isolation.walls()
+    isolation_or_skip().close()
+    isolation = Isolation(AUTO)
+    if "files" not in standing:
+        isolation.refused("view", (0, "a view of the machine, for this test"))
+    return isolation, isolation.walls(outside="" if "network" in standing else "for this test")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[frozenset(WALLS), frozenset({"network"}), frozenset({"processes", "files"}), frozenset()],
+    ids=lambda walls: ", ".join(sorted(walls)) or "no walls",
+)
 def seen(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Seen]:
-    isolation = isolation_or_skip() if request.param == "walls" else Isolation(OFF)
+    isolation, walls = isolation_with(request.param)
     cwd, work = tmp_path_factory.mktemp("cwd"), tmp_path_factory.mktemp("work")
+    (cwd / "reports").mkdir()
+    (cwd / "run.json").write_text("{}")
     # A folder that is not below /tmp: what is there stays visible.
     outside = Outside(HERE)
-    files = {
-        "file": HERE / f"{outside.name}.txt",
-        "temporary": Path("/tmp", outside.name),  # noqa: S108
-        "own": cwd / "own.txt",
-        "work": work / "done.txt",
-    }
-    # Without walls nothing ends such a chain as long as it lasts.
-    breed = 60 if request.param == "walls" else 0
-    target = {**outside.addresses(), "file": str(files["file"]), "work": str(files["work"]), "breed": breed}
-    shell = subprocess.Popen(["/bin/sleep", "600"], env={"SECRET_OF_THE_SHELL": "1"})
-    try:
-        worked = asyncio.run(_intrude(isolation, [sys.executable, str(INTRUDER), json.dumps(target)], cwd, work))
-        left = {name for name, path in files.items() if path.exists()}
-        yield Seen(worked=worked, came=outside.reached(), left=left, alive=_alive(outside.name))
-    finally:
-        shell.kill()
-        shell.wait()
-        outside.close()
-        isolation.close()
-        for path in files.values():
-            path.unlink(missing_ok=True)
+    file, temporary = HERE / f"{outside.name}.txt", Path("/tmp", outside.name)  # noqa: S108
+    with open(cwd.parent / "said", "w+b") as said:
+        other = subprocess.Popen(["/bin/sleep", "600"], env={"SECRET_OF_THE_SHELL": "1"}, stdout=said)
+        try:
+            # Without walls nothing ends such a chain as long as it lasts.
+            breed = 60 if "processes" in request.param else 0
+            target = {**outside.addresses(), "process": other.pid, "file": str(file), "work": str(work / "done")}
+            command = [sys.executable, str(INTRUDER), json.dumps({**target, "breed": breed})]
+            worked = asyncio.run(_start(walls and walls.open_to(reads=(), writes=(str(work),)), command, cwd))
+            came = outside.reached()
+            harm = {attempt for attempt, server in SERVERS.items() if server in came}
+            harm |= {attempt for attempt, stopping in STOPPED_BY.items() if "processes" in stopping and worked[attempt]}
+            places = {
+                "writes to the standard output of another process": said.seek(0, 2) > 0,
+                "writes a file": file.exists(),
+                "writes a file below `/tmp`": temporary.exists(),
+                "writes a `conftest.py` in its working directory": (cwd / "conftest.py").exists(),
+                "moves a folder of its working directory": not (cwd / "reports").exists(),
+                "puts a pipe in place of a file": not (cwd / "run.json").is_file(),
+            }
+            harm = (harm - places.keys()) | {attempt for attempt, changed in places.items() if changed}
+            yield Seen(
+                standing=request.param,
+                worked=worked,
+                harm=harm,
+                declared=(work / "done").exists(),
+                alive=_alive(outside.name),
+            )
+        finally:
+            other.kill()
+            other.wait()
+            outside.close()
+            isolation.close()
+            file.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
 
 async def _intrude(isolation: Isolation, command: list[str], cwd: Path, work: Path) -> dict[str, bool]:
@@ -110,34 +163,26 @@ def _alive(name: str) -> int:
     return found
 
 
-@pytest.fixture
-def walled(seen: Seen, request: pytest.FixtureRequest) -> bool:
-    """Whether there are walls."""
-    return "no walls" not in request.node.name
+@pytest.mark.parametrize("attempt", STOPPED_BY)
+def test_a_wall_stops_what_the_document_says(seen: Seen, attempt: str) -> None:
+    assert (attempt in seen.harm) == STOPPED_BY[attempt].isdisjoint(seen.standing)
 
 
-@pytest.mark.parametrize("kind", ["tcp", "udp", "abstract", "path", "home"])
-def test_nothing_comes_out(seen: Seen, walled: bool, kind: str) -> None:
-    assert (kind in seen.came) == (not walled)
+def test_the_document_has_every_attempt(seen: Seen) -> None:
+    assert {*seen.worked} == {*STOPPED_BY, CHAIN, "declared", "disk", "privileges"}
 
 
-@pytest.mark.parametrize("attempt", ["signal", "secret", "file"])
-def test_other_processes_and_files_are_out_of_reach(seen: Seen, walled: bool, attempt: str) -> None:
-    assert seen.worked[attempt] == (not walled)
+def test_no_privilege_is_left(seen: Seen) -> None:
+    assert not (seen.standing and seen.worked["privileges"])
+    assert not ("files" in seen.standing and seen.worked["disk"])
 
 
-def test_no_privilege_is_left(seen: Seen, walled: bool) -> None:
-    assert not (walled and (seen.worked["privileges"] or seen.worked["disk"]))
+def test_what_is_written_to_a_declared_folder_stays(seen: Seen) -> None:
+    assert seen.declared
 
 
-def test_what_is_written_is_private_but_for_the_working_folder(seen: Seen, walled: bool) -> None:
-    assert seen.worked["own"]
-    assert seen.worked["temporary"]
-    assert seen.left == ({"work"} if walled else {"file", "own", "temporary", "work"})
-
-
-def test_nothing_survives(seen: Seen, walled: bool) -> None:
-    assert seen.worked["breed"] == walled
+def test_nothing_survives(seen: Seen) -> None:
+    assert seen.worked[CHAIN] == ("processes" in seen.standing)
     assert seen.alive == 0
 
 
@@ -174,7 +219,10 @@ def test_what_is_opened_can_be_reached_and_nothing_else(tmp_path: Path) -> None:
         worked = asyncio.run(_start(opened, [sys.executable, str(INTRUDER), json.dumps(target)], tmp_path))
         assert outside.reached() == {"tcp", "udp", "abstract", "path"}
         assert (written / "file").exists()
-        assert not any(worked[attempt] for attempt in ("signal", "secret", "privileges"))
+        assert not any(
+            worked[attempt]
+            for attempt in ("signals another process", "reads the environment of another process", "privileges")
+        )
         assert not (tmp_path / "work").exists()
         assert isolation.account() == {"network": "it needs the network", "processes": None, "files": None}
     finally:
