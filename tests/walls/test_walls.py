@@ -86,7 +86,12 @@ def isolation_with(standing: frozenset[Wall]) -> tuple[Isolation, Walls | None]:
 
 @pytest.fixture(
     scope="module",
-    params=[frozenset(WALLS), frozenset({"network"}), frozenset({"processes", "files"}), frozenset()],
+    params=[
+        frozenset(WALLS),
+        pytest.param(frozenset({"network"}), marks=pytest.mark.long),
+        pytest.param(frozenset({"processes", "files"}), marks=pytest.mark.long),
+        frozenset(),
+    ],
     ids=lambda walls: ", ".join(sorted(walls)) or "no walls",
 )
 def seen(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Seen]:
