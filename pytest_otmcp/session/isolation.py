@@ -245,7 +245,7 @@ def _needed(command: Sequence[str], env: Mapping[str, str], cwd: str) -> Iterato
     words = [word for text in (*command, *env.values()) for word in re.split("[=:,]", text)]
     program = shutil.which(command[0], path=env.get("PATH")) or command[0]
     own = sorted({*_FOLDERS, os.environ.get("TMPDIR", _FOLDERS[0])}, key=len, reverse=True)
-    for word in (*words, program, cwd, sys.prefix, sys.base_prefix, str(_KIT)):
+    for word in (*words, program, cwd, sys.prefix, sys.base_prefix, str(_KIT), *sys.path):
         for path in {word, os.path.realpath(word)} if word.startswith("/") else ():
             folder = next((folder for folder in own if path.startswith(f"{folder}/")), None)
             if folder is not None:

@@ -67,7 +67,7 @@ class Reply:
         return meta
 
 
-PATIENCE_S = 40.0
+PATIENCE_S = 120.0
 """Seconds to wait for something that must come; each wait ends as soon as it has come."""
 
 

@@ -286,7 +286,7 @@ FORGERIES: list[tuple[str, Change]] = [
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param(change, id=name, marks=[pytest.mark.weekly] if number % 3 else [])
+        pytest.param(change, id=name, marks=[pytest.mark.weekly] if number % 6 else [])
         for number, (name, change) in enumerate(FORGERIES)
     ],
 )

@@ -62,7 +62,7 @@ def test_few_file_descriptors_accuse_no_adapter(empty_repository: Repository) ->
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("descriptors", range(30, 61, 10))
+@pytest.mark.parametrize("descriptors", [30, 40, 50, pytest.param(60, marks=pytest.mark.weekly)])
 def test_however_few_file_descriptors_there_are_nobody_is_accused(
     empty_repository: Repository, descriptors: int
 ) -> None:

@@ -185,7 +185,7 @@ def test_named_commands_are_driven_on_every_protocol(judge_foreign: Judge, proto
 @pytest.mark.parametrize(
     "protocol",
     [
-        pytest.param(one, marks=() if one in ("modbus", "mqtt", "opcua") else pytest.mark.weekly)
+        pytest.param(one, marks=() if one in ("modbus", "mqtt") else pytest.mark.weekly)
         for one in EVERYWHERE
         if one not in ("bacnet", "profibus")
     ],

@@ -116,8 +116,8 @@ def test_an_honest_adapter_with_commands_of_another_form_is_accused_of_nothing(j
     [
         pytest.param(
             name,
-            # A twelfth of them, and those that are closest to what the suite forbids, run with the long tests.
-            marks=() if name in CLOSEST or not number % 12 else pytest.mark.weekly,
+            # Few of them, and those that are closest to what the suite forbids, run with the long tests.
+            marks=() if name in CLOSEST or not number % 40 else pytest.mark.weekly,
         )
         for number, name in enumerate(ZOO)
     ],

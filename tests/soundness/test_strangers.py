@@ -67,6 +67,7 @@ SENT = {
 
 
 @pytest.mark.long
+@pytest.mark.weekly
 def test_strangers_that_change_nothing_are_notes_beside_a_whole_run(judge_described: Judge, beside: Beside) -> None:
     with ExitStack() as scanners:
         for what, (devices, _) in SENT.items():

@@ -9,6 +9,7 @@ import re
 import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -233,6 +234,25 @@ def test_what_is_opened_can_be_reached_and_nothing_else(tmp_path: Path) -> None:
     finally:
         outside.close()
         isolation.close()
+
+
+def test_packages_to_which_the_environment_of_the_kit_leads_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    isolation = isolation_or_skip()
+    with tempfile.TemporaryDirectory(dir="/tmp") as packages:
+        Path(packages, "packaged.py").touch()
+        monkeypatch.syspath_prepend(packages)
+        code = (
+            "import importlib.util, json, sys\n"
+            f"sys.path.append({packages!r})\n"
+            "print(json.dumps({'found': importlib.util.find_spec('packaged') is not None}), flush=True)\n"
+            "sys.stdin.read()"
+        )
+        try:
+            assert asyncio.run(_start(isolation.walls(), [sys.executable, "-c", code], tmp_path)) == {"found": True}
+        finally:
+            isolation.close()
 
 
 # -- machines that refuse ---------------------------------------------------------------------------------------------
