@@ -61,6 +61,10 @@ golden *NAMES:
 docs:
     {{bin}}/otmcp docs ./build/docs
 
+# Build the site of the documentation into build/site; a broken link fails. Look at it with: python -m http.server -d build/site
+site: docs
+    {{bin}}/zensical build --clean --strict
+
 # Print what the changelog of the next release will say.
 news:
     {{bin}}/uv tool run towncrier build --draft --version next

@@ -7,16 +7,21 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
+from pytest_otmcp.session.cable import cable_refused
+
 from .workload import (
     ANALOG_INPUTS,
     DB,
     DB_BYTES,
     DEVICE,
+    ENTRY,
     INPUT_REGISTERS,
     OBJECT,
     OUTSTATION,
     PAYLOAD,
     SLAVE,
+    SLOT,
+    STATION,
     TAG,
     TEMPERATURE,
     TOPIC,
@@ -37,9 +42,12 @@ class Family:
         raw: what the raw exchange does.
         does: what the call does.
         tool, arguments: the call.
-        env: variables of the adapter's environment, with ``{host}`` and ``{port}`` for the device's, or ``{serial}`` for its line.
+        env: variables of the adapter's environment, with ``{host}`` and ``{port}`` for the device's, ``{serial}`` for its line, or ``{interface}`` for
+            the end of its cable.
         target: largest ratio of the call to the null tool and the raw exchange together.
         library: module of an optional dependency that adapter and raw exchange need.
+        cable: the device is on a cable, which not every machine allows.
+        told: what the raw exchange is told, of what its device has.
     """
 
     key: str
@@ -51,6 +59,13 @@ class Family:
     env: Mapping[str, str]
     target: float = _FURTHER_TARGET
     library: str | None = None
+    cable: bool = False
+    told: str = "host port"
+
+    @property
+    def alone(self) -> bool:
+        """A line has one master."""
+        return self.told in ("serial", "interface")
 
 
 _ALL = (
@@ -132,8 +147,36 @@ _ALL = (
         tool="read_inputs",
         arguments={"slave_address": SLAVE},
         env={"PROFIBUS_SERIAL": "{serial}"},
+        told="serial",
+    ),
+    Family(
+        key="ethercat",
+        item="C2",
+        raw="pysoem, SDO upload of one object",
+        does="read one object",
+        tool="read_sdo",
+        arguments={"slave_position": ENTRY[0], "index": ENTRY[1], "subindex": ENTRY[2], "data_type": "UINT32"},
+        env={"ETHERCAT_INTERFACE": "{interface}"},
+        library="pysoem",
+        cable=True,
+        told="interface",
+    ),
+    Family(
+        key="profinet",
+        item="N2",
+        raw="no library, Read of the record 8028",
+        does="read the inputs of one slot",
+        tool="read_io_data",
+        arguments={"device_name": STATION, "slot": SLOT, "subslot": 1},
+        env={"PROFINET_INTERFACE": "{interface}"},
+        cable=True,
+        told="device_ip",
     ),
 )
 
-FAMILIES = tuple(family for family in _ALL if family.library is None or find_spec(family.library))
-"""The protocols of the paper, and the further ones whose extra is installed."""
+FAMILIES = tuple(
+    family
+    for family in _ALL
+    if (family.library is None or find_spec(family.library)) and not (family.cable and cable_refused())
+)
+"""The protocols of the paper, and the further ones whose extra is installed and that this machine allows."""

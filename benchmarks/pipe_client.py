@@ -32,13 +32,15 @@ class PipeClient:
     Args:
         arguments: module and its arguments.
         env: variables of the server's environment besides those of the allow-list.
+        join: number of a process whose network the server is in; 0 for this one's.
     """
 
-    def __init__(self, *arguments: str, env: Mapping[str, str] | None = None) -> None:
+    def __init__(self, *arguments: str, env: Mapping[str, str] | None = None, join: int = 0) -> None:
         self._name = " ".join(arguments)
+        joining = ["nsenter", "-t", str(join), "-U", "-n", "--preserve-credentials"] if join else []
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  # lives as long as the server
         self._process = subprocess.Popen(
-            [sys.executable, "-m", *arguments],
+            [*joining, sys.executable, "-m", *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._stderr,

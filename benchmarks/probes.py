@@ -8,9 +8,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 
+from pytest_otmcp.plant.endpoint import Endpoint, endpoint_values
 from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.session.isolation import Isolation
 
-from .families import FAMILIES
+from .families import FAMILIES, Family
 from .pipe_client import PipeClient
 
 __all__ = ["NAMES", "Bench", "Probe", "bench"]
@@ -52,33 +54,43 @@ def bench() -> Iterator[Bench]:
     with ExitStack() as stack:
         runner = stack.enter_context(asyncio.Runner())
         devices: dict[str, MockDevice] = {}
+        # It makes the network of a cable.
+        isolation = Isolation()
+        stack.callback(isolation.close)
 
-        def where(key: str) -> dict[str, str]:
-            # A line has one master, so each program gets a line of its own; the clients of a port share the device.
-            if key not in devices or "serial" in _where(devices[key]):
-                devices[key] = device = MockDevice(key)
+        def where(family: Family) -> Endpoint:
+            # Each master gets a line of its own; the other clients of a protocol share the device.
+            if family.key not in devices or family.alone:
+                devices[family.key] = device = MockDevice(family.key)
+                if family.cable:
+                    device.walls = isolation.walls(cable=True)
                 stack.callback(_end, runner, device)
                 runner.run(device.launch())
-            return _where(devices[key])
+            return _endpoint(devices[family.key])
 
-        def start(*arguments: str, env: Mapping[str, str] | None = None) -> PipeClient:
-            client = PipeClient(*arguments, env=env)
+        def start(*arguments: str) -> PipeClient:
+            client = PipeClient(*arguments)
+            stack.callback(client.close)
+            return client
+
+        def start_at(family: Family, *arguments: str, env: Mapping[str, str] | None = None) -> PipeClient:
+            """Start a program with the words or the variables that say where the device is."""
+            end = where(family)
+            told = endpoint_values(family.key, {end.name: end})
+            words = [] if env else [told[name] for name in family.told.split()]
+            named = {name: value.format(**told) for name, value in (env or {}).items()}
+            client = PipeClient(*arguments, *words, env=named, join=end.join)
             stack.callback(client.close)
             return client
 
         null, stock = start("benchmarks.null_adapter"), start("benchmarks.null_stock")
         floor = start("benchmarks.raw_client", "nothing")
-        keys = [family.key for family in FAMILIES]
-        raw = {key: start("benchmarks.raw_client", key, *where(key).values()) for key in keys}
-        raw["mqtt_exchange"] = start("benchmarks.raw_client", "mqtt_exchange", *where("mqtt").values())
-        control = {key: start("benchmarks.null_adapter", key, *where(key).values()) for key in keys}
+        families = {family.key: family for family in FAMILIES}
+        raw = {key: start_at(one, "benchmarks.raw_client", key) for key, one in families.items()}
+        raw["mqtt_exchange"] = start_at(families["mqtt"], "benchmarks.raw_client", "mqtt_exchange")
+        control = {key: start_at(one, "benchmarks.null_adapter", key) for key, one in families.items()}
         adapter = {
-            family.key: start(
-                "pytest_otmcp.reference_adapters",
-                family.key,
-                env={name: value.format(**where(family.key)) for name, value in family.env.items()},
-            )
-            for family in FAMILIES
+            key: start_at(one, "pytest_otmcp.reference_adapters", key, env=one.env) for key, one in families.items()
         }
         for client in (null, stock, floor, *raw.values(), *control.values(), *adapter.values()):
             client.discover()
@@ -105,9 +117,9 @@ def bench() -> Iterator[Bench]:
         )
 
 
-def _where(device: MockDevice) -> dict[str, str]:
+def _endpoint(device: MockDevice) -> Endpoint:
     (endpoint, *_) = device.endpoints.values()
-    return {"serial": endpoint.path} if endpoint.kind == "pty" else {"host": endpoint.host, "port": str(endpoint.port)}
+    return endpoint
 
 
 def _end(runner: asyncio.Runner, device: MockDevice) -> None:

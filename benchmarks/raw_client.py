@@ -1,4 +1,5 @@
-"""A bare protocol client in a process of its own: ``python -m benchmarks.raw_client EXCHANGE HOST PORT``, or with the path of a line.
+"""A bare protocol client in a process of its own: ``python -m benchmarks.raw_client EXCHANGE HOST PORT``, with the path of a line, or with
+the address of a device on a cable.
 
 It makes one exchange for every line on its standard input, and then answers. So it is in an adapter's situation: a pipe
 wakes it, the device has slept too, and both compete with the caller for the processors. The exchange ``nothing`` does
@@ -12,6 +13,8 @@ import gc
 import itertools
 import json
 import os
+import socket
+import struct
 import sys
 import tty
 from collections.abc import Awaitable, Callable
@@ -28,6 +31,7 @@ from .workload import (
     BLOCKS,
     DB,
     DB_BYTES,
+    ENTRY,
     FLOOD,
     INBOX,
     INPUT_REGISTERS,
@@ -37,6 +41,7 @@ from .workload import (
     PAYLOAD,
     PDU_REGISTERS,
     SLAVE,
+    SLOT,
     TAG,
     TEMPERATURE,
     TOPIC,
@@ -46,6 +51,8 @@ __all__ = ["Exchange", "connect"]
 
 _MASTER = 2
 """Address of the PROFIBUS master."""
+_RPC_PORT, _READ_IMPLICIT = 34964, 5
+"""UDP port of PROFINET devices, and the operation that reads without a relation."""
 
 Exchange = Callable[[], Awaitable[None]]
 
@@ -283,6 +290,42 @@ async def _profibus(path: str) -> Exchange:
     return read
 
 
+async def _ethercat(interface: str) -> Exchange:
+    import pysoem
+
+    master = pysoem.Master()
+    master.open(interface)
+    assert master.config_init() > 0
+    # SOEM's 2 ms are too few on a machine that does something else as well.
+    pysoem.settings.timeouts.ret = 50_000
+    position, index, subindex = ENTRY
+
+    async def read() -> None:
+        assert len(master.slaves[position].sdo_read(index, subindex)) == 4
+
+    return read
+
+
+async def _profinet(host: str) -> Exchange:
+    loop, made = asyncio.get_running_loop(), socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+    made.connect((host, _RPC_PORT))
+    # IODReadReqHeader: no relation, API 0, slot, subslot 1, record 8028, at most 4096 bytes; and what the arrays of NDR say of it.
+    block = struct.pack(">HHBBH16xIHHHHI24x", 0x0009, 60, 1, 0, 0, 0, SLOT, 1, 0, 0x8028, 4096)
+    body = struct.pack(">5I", 4100, len(block), 4100, 0, len(block)) + block
+    # Connectionless RPC, version 4, a request in big-endian order to the object and the interface of an IO device.
+    who = bytes.fromhex("0400200000000000 dea000006c9711d18271000100010abc dea000016c9711d1827100a02442df7d")
+    numbers = struct.pack(">IIIHHHHHBB", 0, 1, 0, _READ_IMPLICIT, 0xFFFF, 0xFFFF, len(body), 0, 0, 0)
+
+    async def read() -> None:
+        # A call of its own each time: one with the same activity is the same call.
+        await loop.sock_sendall(made, who + os.urandom(16) + numbers + body)
+        answer = await loop.sock_recv(made, 2048)
+        # Behind the header of 80 bytes is the status.
+        assert answer[80:84] == bytes(4)
+
+    return read
+
+
 EXCHANGES: dict[str, Callable[..., Awaitable[Exchange]]] = {
     "nothing": _nothing,
     "modbus": _modbus,
@@ -296,6 +339,8 @@ EXCHANGES: dict[str, Callable[..., Awaitable[Exchange]]] = {
     "ethernetip": _ethernetip,
     "dnp3": _dnp3,
     "profibus": _profibus,
+    "ethercat": _ethercat,
+    "profinet": _profinet,
     "modbus_together": partial(_together, _modbus),
     "mqtt_together": partial(_publishing, 1, PARALLEL),
     "opcua_together": partial(_together, _opcua),

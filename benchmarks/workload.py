@@ -8,6 +8,7 @@ __all__ = [
     "DB",
     "DB_BYTES",
     "DEVICE",
+    "ENTRY",
     "FLOOD",
     "INBOX",
     "INPUT_REGISTERS",
@@ -17,6 +18,8 @@ __all__ = [
     "PAYLOAD",
     "PDU_REGISTERS",
     "SLAVE",
+    "SLOT",
+    "STATION",
     "TAG",
     "TEMPERATURE",
     "TOPIC",
@@ -27,8 +30,13 @@ TEMPERATURE = "ns=2;s=Temperature"
 DB, DB_BYTES = 1, 16
 OUTSTATION, ANALOG_INPUTS = 10, 4
 SLAVE = 5
+ENTRY = (1, 0x2001, 6)
+"""Position of an EtherCAT slave, index and subindex of a UINT32."""
+STATION, SLOT = "kit-device", 1
 DEVICE, OBJECT = 12345, ("analog-input", 1)
 TAG = "MotorSpeed"
+ENTRY = (1, 0x2001, 6)
+"""Position of a slave, index and subindex of a UINT32."""
 TOPIC, PAYLOAD = "control/pump", '{"pump_speed": 50}'
 
 PDU_REGISTERS = 125

@@ -7,13 +7,15 @@ import gc
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from .exhaustion import EXIT_CODE, is_exhaustion
 from .launcher import run
-from .namespaces import join
+from .namespaces import enter_new, join
 from .packages import MockPackage, built_in, load
 
 _PROGRAM = "python -m pytest_otmcp.mocks"
+_PORTLESS = {"pty": "pseudo terminal", "cable": "cable"}
 
 
 def main() -> int:
@@ -38,25 +40,32 @@ def main() -> int:
     if hasattr(package, "main"):
         gc.enable()
         return package.main(options.arguments)
-    return _launch(options.protocol, package, options.arguments)
+    return _launch(options.protocol, package, options.arguments, within=bool(options.within))
 
 
-def _launch(name: str, package: MockPackage, arguments: Sequence[str]) -> int:
+def _launch(name: str, package: MockPackage, arguments: Sequence[str], *, within: bool) -> int:
     parser = argparse.ArgumentParser(prog=f"{_PROGRAM} {name}", description=package.__doc__)
     parser.add_argument("--host", default="127.0.0.1", help="address to serve on (default: %(default)s)")
     parser.add_argument("--port", type=int, default=0, help="port to serve on (default: a free one)")
+    parser.add_argument("--tls", type=Path, metavar="FOLDER", help="speak TLS with the certificates of a folder")
     options = parser.parse_args(arguments)
     if not 0 <= options.port <= 65535:
         parser.error(f"--port: expected 0 to 65535, found {options.port}")
-    if options.port and package.ENDPOINTS[0].kind == "pty":
-        parser.error(f"--port: {name} serves on a pseudo terminal, which has none")
+    if options.port and (place := _PORTLESS.get(package.ENDPOINTS[0].kind)):
+        parser.error(f"--port: {name} serves on a {place}, which has none")
     if not hasattr(os, "fork"):
         print("the mock devices need os.fork, which this platform does not have", file=sys.stderr)
         return 1
+    cable = any(endpoint.kind == "cable" for endpoint in package.ENDPOINTS)
     try:
-        return run(name, package, options.host, options.port)
+        if cable and not within:
+            enter_new()
+        return run(name, package, options.host, options.port, options.tls)
+    except ValueError as error:
+        parser.error(f"--tls: {error}")
     except OSError as error:
-        print(f"cannot serve on {options.host}:{options.port}: {error.strerror or error}", file=sys.stderr)
+        where = f"a cable: this machine refuses {error.filename}" if cable else f"{options.host}:{options.port}"
+        print(f"cannot serve on {where}: {error.strerror or error}", file=sys.stderr)
         return EXIT_CODE if is_exhaustion(error) else 1
 
 

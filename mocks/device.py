@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from .endpoint import OpenEndpoint
@@ -39,6 +40,14 @@ class Device(ABC):
     @abstractmethod
     async def aclose(self) -> None:
         """Stop serving."""
+
+    def secure(self, folder: Path) -> None:
+        """Speak the secure form of the protocol, with the certificates of a folder; called before ``serve``. See :mod:`.tls`.
+
+        Raises:
+            ValueError: the protocol has none.
+        """
+        raise ValueError(f"{self.protocol} has no secure form here")
 
     async def caught_up(self) -> None:
         """Return when all that clients had sent before has been read. What they send over sockets is there at once."""

@@ -6,12 +6,14 @@ import socket
 from dataclasses import dataclass
 from typing import Literal
 
+from .cable import CableEnd
+
 __all__ = ["Endpoint", "Kind", "OpenEndpoint"]
 
-Kind = Literal["tcp", "udp", "pty"]
+Kind = Literal["tcp", "udp", "pty", "cable"]
 
-OpenEndpoint = socket.socket | int
-"""``tcp``: a bound socket that does not listen yet; ``udp``: a bound socket; ``pty``: the master's file descriptor."""
+OpenEndpoint = socket.socket | int | CableEnd
+"""``tcp``: a bound socket that does not listen yet; ``udp``: a bound socket; ``pty``: the master's file descriptor; ``cable``: the device's end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,7 +25,7 @@ class Endpoint:
 
     Attributes:
         name: unique within the package.
-        kind: a TCP port, a UDP port, or a pseudo terminal in the place of a serial line.
+        kind: a TCP port, a UDP port, a pseudo terminal in the place of a serial line, or a cable of Ethernet.
     """
 
     name: str

@@ -108,8 +108,7 @@ class FramedConnection(asyncio.Protocol, ABC, Generic[D]):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, Link)
         self.transport = transport
-        self.device.connections += 1
-        self.number = transport.number = self.device.connections
+        self.number = transport.number
         peer = transport.get_extra_info("peername")[1]
         self.device.journal.connected(self.number, process_of(transport), peer=peer)
 

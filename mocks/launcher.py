@@ -12,8 +12,9 @@ Standard output carries one JSON object per line, standard input one word per li
            ``{"event": "ready", "protocol", "host", "port", "endpoints", "control", "pid"}``
 =========  ==========================================================================================
 
-``endpoints`` maps the name of each endpoint to ``{"kind": "tcp" or "udp", "host", "port"}`` or ``{"kind": "pty", "path"}``;
-``host`` and ``port`` are those of the first, null for a pseudo terminal; ``control`` is the path of the control socket.
+``endpoints`` maps the name of each endpoint to ``{"kind": "tcp" or "udp", "host", "port"}``, ``{"kind": "pty", "path"}`` or
+``{"kind": "cable", "host", "path", "mac", "join"}``, where ``join`` is the number of a process in the network of the clients, for
+nsenter(1). ``host`` and ``port`` are those of the first, null where it has none; ``control`` is the path of the control socket.
 ``{"event": "died", "port", "exit"}`` tells that a device ended by itself; ``start`` is understood afterwards. The exit code is
 75 for a device that has run out of something, 69 for one whose port another program has taken, and else 1.
 ``{"event": "error", "message"}`` answers any other word. End of input ends everything.
@@ -35,6 +36,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, NoReturn
 
 from .control import ControlServer
@@ -55,7 +57,7 @@ _STDIN, _STDOUT, _STDERR = 0, 1, 2
 _END_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
-def run(name: str, package: MockPackage, host: str, port: int) -> int:
+def run(name: str, package: MockPackage, host: str, port: int, certificates: Path | None = None) -> int:
     """Serve until standard input closes and return the exit code. The garbage collector is off in the launcher.
 
     Args:
@@ -63,6 +65,7 @@ def run(name: str, package: MockPackage, host: str, port: int) -> int:
         package: the mock.
         host: address of all ports.
         port: that of the first endpoint, 0 for a free one; the other endpoints have free ports.
+        certificates: a folder of them, with which the device speaks the secure form of its protocol; see :mod:`.tls`.
 
     Raises:
         OSError: a port cannot be bound, or another program serves on it.
@@ -74,19 +77,22 @@ def run(name: str, package: MockPackage, host: str, port: int) -> int:
             kept.callback(reservation.close)
             reservations[endpoint.name] = reservation
         package.warm()
+        if certificates is not None:
+            # What takes time is imported before devices are forked.
+            package.create().secure(certificates)
         # The devices' garbage collectors do not touch frozen objects, so their memory pages are not copied.
         gc.freeze()
-        return _run(name, package, reservations)
+        return _run(name, package, reservations, certificates)
 
 
-def _run(name: str, package: MockPackage, reservations: Mapping[str, Reservation]) -> int:
+def _run(name: str, package: MockPackage, reservations: Mapping[str, Reservation], certificates: Path | None) -> int:
     hide_memory()
     # Signals are handled only where the launcher waits, so never between a fork and the storing of its process id.
     signal.pthread_sigmask(signal.SIG_BLOCK, _END_SIGNALS)
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, _end)
     control = ControlSocket()
-    launcher = _Launcher(name, package, reservations, control)
+    launcher = _Launcher(name, package, reservations, control, certificates)
     try:
         launcher.start()
         launcher.serve_commands()
@@ -119,9 +125,15 @@ class _Launcher:
     """The launcher process: it executes the commands of standard input, with one device process at a time."""
 
     def __init__(
-        self, name: str, package: MockPackage, reservations: Mapping[str, Reservation], control: ControlSocket
+        self,
+        name: str,
+        package: MockPackage,
+        reservations: Mapping[str, Reservation],
+        control: ControlSocket,
+        certificates: Path | None,
     ) -> None:
         self._name = name
+        self._certificates = certificates
         self._package = package
         self._reservations = reservations
         self._endpoints = {endpoint: reservation.address for endpoint, reservation in reservations.items()}
@@ -231,6 +243,8 @@ class _Launcher:
             os.dup2(_STDERR, _STDOUT)
             device = self._package.create()
             device.port = self._port
+            if self._certificates is not None:
+                device.secure(self._certificates)
             asyncio.run(_serve(device, self._reservations, self._control, death, self._life_read))
             code = 0
         except BaseException as error:

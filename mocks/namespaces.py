@@ -1,13 +1,22 @@
-"""The namespaces in which a mock device is reached (namespaces(7)), where the kit has put its adapters into some of their own."""
+"""The namespaces in which a mock device is reached (namespaces(7)): those into which the kit has put its adapters, or new ones."""
 
 from __future__ import annotations
 
 import ctypes
 import os
+import signal
 
-__all__ = ["join"]
+__all__ = ["enter_new", "hold", "join", "unshare_network"]
 
 _USER, _NETWORK = 0x10000000, 0x40000000
+_SET_PDEATHSIG = 1
+
+
+def _call(function: str, *arguments: int, step: str) -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if getattr(libc, function)(*arguments) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), step)
 
 
 def join(user: int, network: int) -> None:
@@ -16,9 +25,46 @@ def join(user: int, network: int) -> None:
     Raises:
         OSError: it may not.
     """
-    libc = ctypes.CDLL(None, use_errno=True)
     for descriptor, kind in ((user, _USER), (network, _NETWORK)):
-        if libc.setns(descriptor, kind) != 0:
-            number = ctypes.get_errno()
-            raise OSError(number, os.strerror(number), "namespace")
+        _call("setns", descriptor, kind, step="namespace")
         os.close(descriptor)
+
+
+def enter_new() -> None:
+    """Enter a new user namespace, as who one is, and a new network namespace. This process must have one thread.
+
+    Raises:
+        OSError: this machine does not let this user have one.
+    """
+    user, group = os.geteuid(), os.getegid()
+    _call("unshare", _USER, step="a user namespace")
+    for name, line in (("setgroups", "deny"), ("uid_map", f"{user} {user} 1"), ("gid_map", f"{group} {group} 1")):
+        with open(f"/proc/self/{name}", "w", encoding="ascii") as file:
+            file.write(line)
+    unshare_network()
+
+
+def unshare_network() -> None:
+    """Enter a new network namespace.
+
+    Raises:
+        OSError: this machine refuses.
+    """
+    _call("unshare", _NETWORK, step="a network namespace")
+
+
+def hold() -> int:
+    """Fork a process that stays in these namespaces for as long as this one lives, and can be joined by others; return its number."""
+    parent = os.getpid()
+    if number := os.fork():
+        return number
+    try:
+        ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != parent:
+            # It has ended already, and no signal will come.
+            os._exit(0)
+        os.closerange(0, 256)
+        while True:
+            signal.pause()
+    finally:
+        os._exit(0)

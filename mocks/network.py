@@ -22,17 +22,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import re
 import socket
 import struct
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from .fault_rules import FLAG, Field, integer, number
 from .journal import Journal
 from .medium import Medium
+
+if TYPE_CHECKING:
+    from .tls import Tls
 
 __all__ = ["AT_ONCE", "MANNERS", "Link", "Mangling", "Manner", "Network"]
 
@@ -130,17 +135,50 @@ AT_ONCE = Manner()
 
 
 class Network(Medium):
-    """The way between one device and its clients."""
+    """The way between one device and its clients.
 
-    def __init__(self, journal: Journal) -> None:
+    Args:
+        numbers: of connections; from 1 on where they are not shared with another network.
+    """
+
+    def __init__(self, journal: Journal, numbers: Iterator[int] | None = None) -> None:
         super().__init__(journal)
         self.links: set[Link] = set()
+        self.numbers = numbers or itertools.count(1)
+        self._tls: Tls | None = None
         self._allowance = float(_BURST)
         self._recorded, self._counted_s = journal.next, 0.0
 
     def protocol(self, factory: Callable[[], asyncio.Protocol]) -> Callable[[], asyncio.Protocol]:
         """Return the factory for a listener whose connections this factory serves."""
-        return lambda: _Below(self, factory())
+
+        def served() -> asyncio.Protocol:
+            below = _Below(self, factory())
+            return below if self._tls is None else self._tls.end(below)
+
+        return served
+
+    def secure(self, folder: Path) -> None:
+        """Speak TLS with the certificates of a folder from now on; see :mod:`.tls`."""
+        from .tls import Tls
+
+        self._tls = Tls(folder, self._journal, self, self.numbers)
+
+    def poke(self, params: Mapping[str, Any]) -> bool:
+        if "tls" not in params:
+            return super().poke(params)
+        if self._tls is None or len(params) > 1 or not isinstance(params["tls"], str):
+            raise ValueError("a poke of TLS is {'tls': NAME}, of a device that was started with certificates")
+        self._tls.present(params["tls"])
+        self.close()
+        return True
+
+    def restored(self) -> None:
+        """Be as at the start."""
+        self.become("open")
+        if self._tls is not None and not self._tls.is_usual:
+            self._tls.present()
+            self.close()
 
     def _changed(self) -> None:
         for link in list(self.links):
@@ -172,13 +210,14 @@ class _Below(asyncio.Protocol):
     """What the event loop knows as the protocol of a connection."""
 
     def __init__(self, network: Network, above: asyncio.Protocol) -> None:
+        self.number = 0
         self._network = network
         self._above = above
         self._link: Link
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
-        self._link = Link(self._network, transport, self._above)
+        self._link = Link(self._network, transport, self._above, self.number or next(self._network.numbers))
         self._network.links.add(self._link)
         self._above.connection_made(self._link)
         self._link.changed()
@@ -204,14 +243,14 @@ class Link(asyncio.Transport):
     """The transport of a connection, as its device sees it.
 
     Attributes:
-        number: number of the connection in the journal; the device sets it.
+        number: number of the connection in the journal.
         dead: nothing passes any more, although neither side has been told of an end.
         gone: set when the device has been told that the connection has ended.
     """
 
-    def __init__(self, network: Network, transport: asyncio.Transport, above: asyncio.Protocol) -> None:
+    def __init__(self, network: Network, transport: asyncio.Transport, above: asyncio.Protocol, number: int) -> None:
         super().__init__()
-        self.number = 0
+        self.number = number
         self.dead = False
         self.gone = asyncio.Event()
         self._network = network

@@ -21,7 +21,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
 
-__all__ = ["Process", "client", "holder", "process_of", "socket_of", "terminal_holder"]
+__all__ = ["Process", "client", "holder", "process_of", "socket_of", "stay_in_network", "terminal_holder"]
 
 _SOCK_DIAG = 4
 _BY_FAMILY = 20
@@ -86,6 +86,11 @@ class _Known:
 
 _known: OrderedDict[tuple[int, str | None], _Known] = OrderedDict()
 """Processes by number and time of their start, the one that was found last at the end."""
+
+
+def stay_in_network() -> None:
+    """Go on asking for the sockets of the network in which this process is now, also when it has left that."""
+    _kernel()
 
 
 def process_of(transport: asyncio.BaseTransport) -> Process | None:

@@ -1,6 +1,6 @@
 """The reservation of a device's addresses while device processes start and end; one class for each kind of endpoint.
 
-While no device runs, a TCP port refuses, and a UDP port and a pseudo terminal are silent. Telegrams that are sent to
+While no device runs, a TCP port refuses, and a UDP port, a pseudo terminal and a cable are silent. Telegrams that are sent to
 them meanwhile are never executed by the next device: they are discarded just before it serves.
 """
 
@@ -15,7 +15,9 @@ import tty
 from abc import ABC, abstractmethod
 from typing import Any
 
+from .cable import DEVICE_IP, INTERFACE, Plugged
 from .endpoint import Endpoint, OpenEndpoint
+from .namespaces import hold
 
 __all__ = ["Reservation", "reserve"]
 
@@ -146,12 +148,28 @@ class _PseudoTerminal(Reservation):
         os.close(self._master)
 
 
+class _Cable(Reservation):
+    """Both interfaces of a cable; frames that are sent while no device has its end open are lost."""
+
+    def __init__(self) -> None:
+        holding = hold()
+        self._plugged = Plugged()
+        mac = self._plugged.mac.hex(":")
+        self.address = {"kind": "cable", "host": DEVICE_IP, "path": INTERFACE, "mac": mac, "join": holding}
+
+    def open(self) -> OpenEndpoint:
+        return self._plugged.open()
+
+    def close(self) -> None:
+        self._plugged.close()
+
+
 def reserve(endpoint: Endpoint, host: str, port: int = 0) -> Reservation:
     """Return the reservation of an endpoint.
 
     Args:
         endpoint: what to reserve.
-        host: address of ports; a pseudo terminal has none.
+        host: address of ports; a pseudo terminal has none, and a cable has its own.
         port: number of the port, 0 for a free one.
 
     Raises:
@@ -164,3 +182,5 @@ def reserve(endpoint: Endpoint, host: str, port: int = 0) -> Reservation:
             return _UdpPort(host, port)
         case "pty":
             return _PseudoTerminal()
+        case "cable":
+            return _Cable()

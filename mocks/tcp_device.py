@@ -6,6 +6,7 @@ import asyncio
 import socket
 from abc import abstractmethod
 from collections.abc import Mapping
+from pathlib import Path
 
 from .device import Device
 from .endpoint import OpenEndpoint
@@ -19,13 +20,11 @@ class TcpDevice(Device):
 
     Attributes:
         network: the way between the device and its clients.
-        connections: how many there have been; connections are numbered from 1.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.network = Network(self.journal)
-        self.connections = 0
         self._server: asyncio.Server | None = None
 
     @abstractmethod
@@ -37,6 +36,9 @@ class TcpDevice(Device):
         assert isinstance(listener, socket.socket)
         factory = self.network.protocol(self.connection)
         self._server = await asyncio.get_running_loop().create_server(factory, sock=listener, backlog=128)
+
+    def secure(self, folder: Path) -> None:
+        self.network.secure(folder)
 
     async def aclose(self) -> None:
         if self._server is not None:

@@ -12,11 +12,13 @@ from .plugin.fixtures.device_handles import (
     UsageError,
 )
 from .plugin.fixtures.dnp3_handles import AsyncDnp3Device, Dnp3Device, Dnp3Entry
+from .plugin.fixtures.ethercat_handles import AsyncEthercatDevice, EthercatDevice, EthercatEntry
 from .plugin.fixtures.ethernetip_handles import AsyncEthernetIpDevice, EthernetIpDevice, EthernetIpEntry
 from .plugin.fixtures.modbus_handles import AsyncModbusDevice, ModbusDevice, ModbusEntry
 from .plugin.fixtures.mqtt_handles import AsyncBroker, Broker, MqttEntry
 from .plugin.fixtures.opcua_handles import AsyncOpcUaPlant, OpcUaEntry, OpcUaPlant
 from .plugin.fixtures.profibus_handles import AsyncProfibusDevice, ProfibusDevice, ProfibusEntry
+from .plugin.fixtures.profinet_handles import AsyncProfinetDevice, ProfinetDevice, ProfinetEntry
 from .plugin.fixtures.s7_handles import AsyncS7Device, S7Device, S7Entry
 
 __all__ = [
@@ -26,10 +28,12 @@ __all__ = [
     "AsyncBroker",
     "AsyncDevice",
     "AsyncDnp3Device",
+    "AsyncEthercatDevice",
     "AsyncEthernetIpDevice",
     "AsyncModbusDevice",
     "AsyncOpcUaPlant",
     "AsyncProfibusDevice",
+    "AsyncProfinetDevice",
     "AsyncS7Device",
     "BacnetDevice",
     "BacnetEntry",
@@ -37,6 +41,8 @@ __all__ = [
     "Device",
     "Dnp3Device",
     "Dnp3Entry",
+    "EthercatDevice",
+    "EthercatEntry",
     "EthernetIpDevice",
     "EthernetIpEntry",
     "JournalEntry",
@@ -48,6 +54,8 @@ __all__ = [
     "OpcUaPlant",
     "ProfibusDevice",
     "ProfibusEntry",
+    "ProfinetDevice",
+    "ProfinetEntry",
     "S7Device",
     "S7Entry",
     "SubjectError",

@@ -27,6 +27,8 @@ def recorded(bench: Bench, items: Iterable[Mapping[str, Any]]) -> dict[str, Any]
         soak=bench.options.soak,
     )
     restored: dict[str, Any] = json.loads(json.dumps(record, allow_nan=False))
+    if bench.options.devices:
+        restored["settings"]["devices"] = dict(bench.options.devices)
     return restored
 
 

@@ -11,12 +11,15 @@ from pytest_otmcp.trial.task import Task
 
 __all__ = ["AREAS", "MODULES", "checks", "modules"]
 
-AREAS = ("mcp", "env", "err", "rd", "wr", "adr", "enc", "con", "tmo", "rec", "mqt", "spb", "oua", "res", "inj", "key")
+AREAS = (
+    *("mcp", "env", "err", "rd", "wr", "adr", "enc", "con", "tmo", "rec", "mqt", "spb", "oua", "res"),
+    *("sec", "aud", "tls", "apr", "inj", "key"),
+)
 """The areas in the order of the catalogue; each is a module here."""
 
 
-MODULES = (*AREAS, "wr_commands", "adr_mqtt")
-"""The modules of the areas; two areas have two."""
+MODULES = (*AREAS, "mcp_callers", "wr_commands", "adr_mqtt")
+"""The modules of the areas; three areas have two."""
 
 
 def modules() -> tuple[str, ...]:

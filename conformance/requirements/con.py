@@ -8,7 +8,7 @@ from typing import Any
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.strict_json import same_json
 from pytest_otmcp.protocols.exercise import Asked
-from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.journal import CYCLIC, Entries, JournalEntry
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.entries import as_modbus
 from pytest_otmcp.protocols.modbus.entries import points as registers_of
@@ -512,7 +512,7 @@ async def many_calls_need_few_connections(run: Repetition, at: Rig) -> None:
         else:
             run.succeeds(reply, requirement="CON-006", **asked.outputs)
     entries = await at.journal()
-    silent = [one for one in made if one[1].success and not any(entry["request"] for entry in one[1].during(entries))]
+    silent = [one for one in made if one[1].success and not any(map(_exchanged, one[1].during(entries)))]
     if silent:
         await at.watch(QUIET_S)
         entries = await at.journal()
@@ -528,6 +528,10 @@ async def many_calls_need_few_connections(run: Repetition, at: Rig) -> None:
             "no_exchange", message, "CON-006", evidence=protocols()[at.protocol].seen(unasked[0].during(entries))
         )
     run.witnessed(_connections(at, await at.session_journal()))
+
+
+def _exchanged(entry: JournalEntry) -> bool:
+    return entry["request"] or entry["kind"] in CYCLIC
 
 
 def _subscribed_after(at: Rig, asked: Asked, reply: Reply, entries: Entries) -> bool:

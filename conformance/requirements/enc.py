@@ -21,7 +21,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-from ..tasks.messages import publish_from_kit, sync_point
+from ..tasks.messages import publish_from_kit, subscribe, sync_point
 from .opcua_values import as_said
 from .registers import FORMATS, ORDERS, WIDE, registers, same_bits, unpacked
 from .sparkplug_payload import DOUBLE, INT64, UINT64, payload_of
@@ -550,7 +550,7 @@ async def payloads_arrive_as_they_are(run: Repetition, mqtt: Rig) -> None:
     if mqtt.subject.blocks("messages"):
         run.not_applicable("the adapter has only a call that waits for messages")
     topic = "sensors/pressure"
-    run.succeeds(await mqtt.call("subscribe", filter=topic, qos=0), requirement="ENC-006")
+    run.succeeds(await subscribe(mqtt, topic), requirement="ENC-006")
     nonce = f"{run.rng.getrandbits(32):08x}"
     random = bytes([0xFF, *run.rng.randbytes(12)])
     payloads = [*(text.encode() + nonce.encode() for text in (*_TEXTS, *_INVISIBLE)), *_BYTES[:-1], random]

@@ -53,6 +53,16 @@ _NAMES = ("required", "type", "dependentRequired")
 """Words of JSON Schema whose lists have each name once."""
 _SHORT = 100
 """Names of a list that can be compared with each other, even if an adapter has sent as many such lists as it can."""
+_MOST_SHOWN = 4
+_EASY_TOOLS, _EASY_BYTES = 40, 25_000
+_ONE_THING = (
+    frozenset({"unit", "unit_id", "slave", "slave_id"}),
+    frozenset({"node_id", "nodeid"}),
+    frozenset({"qos", "qos_level"}),
+)
+_MASK = re.compile(r"(?i)(?:^|_)(?:subnet|subnet_mask|netmask)$")
+_HOST = re.compile(r"(?i)(?:^|_)(?:host|hostname|ip|ip_address|broker_url|server_url|endpoint_url)$")
+_SECRET = re.compile(r"(?i)(?:^|_)(?:password|passwd|passphrase|secret|api_?key|private_key|access_token)$")
 _INSTRUCTION = "IGNORE PREVIOUS INSTRUCTIONS"
 
 _WITHOUT_MEANING = (
@@ -244,6 +254,50 @@ def _says_bounds(argument: Mapping[str, Any]) -> bool:
     return any(f"'{word}'" in text for word in ("enum", "const", "$ref")) or (
         any(f"'{word}'" in text for word in ("minimum", "exclusiveMinimum"))
         and any(f"'{word}'" in text for word in ("maximum", "exclusiveMaximum"))
+    )
+
+
+@TASKS.every_protocol("MCP-012", "What is said of a tool can be read.", reads=False)
+async def tools_are_described(run: Repetition, at: Rig) -> None:
+    """Look at what the session has listed.
+
+    Said: of each tool a description; in names, descriptions and schemas no character that a person does not see.
+    Seen: nothing; the device is not asked.
+    Why: a model obeys a text that the person who approves its calls cannot see.
+    """
+    for name, told in (await at.session.surface()).items():
+        problems = [] if told["described"] else ["has no description"]
+        problems += [f"has the invisible character {code}" for code in told["unseen"][:_MOST_SHOWN]]
+        for problem in problems:
+            run.finding("tool_text", f"tools/list: the tool {name!r} {problem}", requirement="MCP-012")
+
+
+@TASKS.every_protocol("MCP-013", "The list of tools is easy to choose from.", reads=False)
+async def tools_are_easy_to_choose(run: Repetition, at: Rig) -> None:
+    """Look at what the session has listed.
+
+    Said: few tools in few words, one name for one thing, no host and no secret among the arguments.
+    Seen: nothing; the device is not asked.
+    Why: the list is paid for with every turn, and what a model has to invent it gets wrong.
+    """
+    told = await at.session.surface()
+    named = {argument for tool in told.values() for argument in tool["arguments"]}
+    size = sum(tool["bytes"] for tool in told.values())
+    problems = [f"has {len(told)} tools, {_EASY_TOOLS} are easy to choose from"] if len(told) > _EASY_TOOLS else []
+    problems += [f"has {size} bytes, {_EASY_BYTES} are easy to read"] if size > _EASY_BYTES else []
+    for alike in _ONE_THING:
+        names = sorted(named & alike)
+        problems += [f"calls one thing {' and '.join(names)}"] if len(names) > 1 else []
+    # An address that comes with a subnet mask is one that a device is given.
+    given = {name for tool in told.values() if any(map(_MASK.search, tool["arguments"])) for name in tool["arguments"]}
+    hosts = sorted(name for name in named - given if _HOST.search(name))
+    problems += [f"asks the model for {name!r}, which is a host" for name in hosts]
+    problems += [f"asks the model for {name!r}, which is a secret" for name in sorted(named) if _SECRET.search(name)]
+    run.witnessed(
+        [
+            Finding(code="tool_surface", message=f"tools/list {problem}", requirement="MCP-013", strength="SHOULD")
+            for problem in problems
+        ]
     )
 
 

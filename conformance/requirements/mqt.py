@@ -19,7 +19,7 @@ from pytest_otmcp.trial.rig import Rig
 
 from ..commanded import some_command
 from ..tasks.common import UNCERTAIN
-from ..tasks.messages import collect, publish_from_kit, sync_point, tells_topics
+from ..tasks.messages import collect, publish_from_kit, subscribe, sync_point, tells_topics
 from .mqtt_steps import nonce, until, until_it_works
 from .steps import CONNECTION_FAULTS, answers_again, citing, exercise, since, some_read
 
@@ -180,7 +180,7 @@ async def a_subscription_is_granted(run: Repetition, mqtt: Rig) -> None:
     run.fails(reply, "access_denied", "device_failure", requirement="MQT-002", code_requirement="ERR-001")
     await _is_not_listed(run, mqtt, refused)
     await mqtt.device.fault()
-    run.succeeds(await mqtt.call("subscribe", filter=refused, qos=0))
+    run.succeeds(await subscribe(mqtt, refused))
     run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted(refused, qos=None))
     payload = nonce(run).encode()
     await publish_from_kit(mqtt, refused, payload)
@@ -291,7 +291,7 @@ async def _flags_what_was_retained(run: Repetition, mqtt: Rig) -> None:
     kept, fresh = nonce(run), nonce(run)
     encoded = base64.b64encode(kept.encode()).decode()
     await mqtt.device.poke(publish={"topic": topic, "payload": encoded, "retain": True})
-    run.succeeds(await mqtt.call("subscribe", filter=topic, qos=0))
+    run.succeeds(await subscribe(mqtt, topic))
     await publish_from_kit(mqtt, topic, fresh.encode())
     await sync_point(run, mqtt, topic)
     reply = await mqtt.call("messages", filter=topic)
@@ -332,7 +332,7 @@ async def what_a_wildcard_brought_can_be_read(run: Repetition, mqtt: Rig) -> Non
     # Messages that earlier checks have left would be dropped, and counted, as well.
     await mqtt.fresh_session()
     base = f"otmcp/{nonce(run)}"
-    run.succeeds(await mqtt.call("subscribe", filter=f"{base}/#", qos=0))
+    run.succeeds(await subscribe(mqtt, f"{base}/#"))
     for text, parts in (
         (f"{base}/#", ("a", "B/Deep", "c")),
         (f"{base}/+/end", ("d/end", "e/end")),

@@ -12,7 +12,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
 from ..tasks.common import NOTICING_S, each_fails, each_write
-from ..tasks.messages import publish_from_kit
+from ..tasks.messages import publish_from_kit, subscribe
 from .steps import CONNECTION_FAULTS, a_read_works, answers_again, exercise, faulty, read, vanishing
 
 __all__ = ["TASKS"]
@@ -119,7 +119,7 @@ async def subscriptions_return(run: Repetition, mqtt: Rig) -> None:
     Why: an alarm that is subscribed to and never comes is worse than none.
     """
     topic = f"otmcp/alarm/{run.rng.getrandbits(32):08x}"
-    run.must_succeed(await mqtt.call("subscribe", filter=topic, qos=0))
+    run.must_succeed(await subscribe(mqtt, topic))
     await _still_heard(run, mqtt, topic)
     await mqtt.stop_device()
     await mqtt.start_device()

@@ -19,6 +19,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Footprint, Rig
 
+from ..tasks.messages import subscribe
 from .provoked import UNKNOWN_ARGUMENT
 from .steps import a_read_works, answers_again, exercise, faulty, read, reset
 
@@ -339,7 +340,7 @@ async def a_hostile_broker(run: Repetition, mqtt: Rig) -> None:
     Seen: the subscriptions; the adapter's processes take no more than 20 MB more.
     Why: everybody who may publish at the broker could otherwise stop the adapter.
     """
-    run.must_succeed(await mqtt.call("subscribe", filter="spBv1.0/#", qos=0))
+    run.must_succeed(await subscribe(mqtt, "spBv1.0/#"))
     payloads = [*_HOSTILE, *(_mangled(run.rng) for _ in range(_PAYLOADS[run.soak]))]
     for place, payload in enumerate(payloads, start=1):
         topic = f"spBv1.0/plant/{run.rng.choice(('NBIRTH', 'NDATA', 'NDEATH'))}/hostile-{place % 3}"

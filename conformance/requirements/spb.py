@@ -22,7 +22,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.wire.mqtt.sparkplug import DATA_TYPES, decode_payload
 
-from ..tasks.messages import sync_point
+from ..tasks.messages import subscribe, sync_point
 from .mqtt_steps import Messages, edge_node_of, nonce, sparkplug, until, until_it_works
 from .steps import CONNECTION_FAULTS, QUIET_S, since
 
@@ -174,7 +174,7 @@ async def _reports_types(run: Repetition, mqtt: Rig, device: str, types: Sequenc
 
 async def _decodes(run: Repetition, mqtt: Rig) -> None:
     topic = f"spBv1.0/{_GROUP}/DBIRTH/{_NODE}/device-1"
-    run.succeeds(await mqtt.call("subscribe", filter=topic, qos=0))
+    run.succeeds(await subscribe(mqtt, topic))
     metrics = [
         _plant_metric(*one) for one in (("low", "Int32", -5), ("large", "UInt64", 2**63), ("broken", "Double", "NaN"))
     ]

@@ -42,6 +42,7 @@ __all__ = [
     "polls",
     "read",
     "reads_anything",
+    "refusal",
     "refused_before_the_wire",
     "reset",
     "said_of_repetitions",
@@ -135,6 +136,14 @@ def silence(at: Rig) -> Mapping[str, object]:
 def reset(at: Rig) -> Mapping[str, object]:
     """Return the action of a fault rule with which the device resets the connection; over datagrams, that of a lost answer."""
     action = exercise(at).reset[0]["action"]
+    assert isinstance(action, Mapping)
+    return action
+
+
+def refusal(at: Rig) -> Mapping[str, object]:
+    """Return the action of a fault rule with which the device refuses a write, as far as its protocol can."""
+    known = exercise(at)
+    action = known.refused[0]["action"] if known.write_refused is None else known.write_refused[0]
     assert isinstance(action, Mapping)
     return action
 

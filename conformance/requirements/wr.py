@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 import re
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -30,12 +29,12 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.wire.mqtt.sparkplug import parse_topic
 
-from ..commanded import asked_of_the_device, carried_out
+from ..commanded import carried_out
 from ..commanded import guarded as guarded_command
 from ..tasks.common import UNCERTAIN, a_meaningless_switch_enables_nothing, each_fails, each_write
+from .fenced import BEYOND, FORBIDDEN, can_be_asked, is_written, refused, whole
 from .steps import (
     CONNECTION_FAULTS,
-    NOTHING_SENT,
     QUIET_S,
     a_read_works,
     a_write_works,
@@ -53,7 +52,6 @@ from .steps import (
     since,
     witness,
     write,
-    written_once,
 )
 
 __all__ = ["TASKS"]
@@ -177,7 +175,7 @@ async def _partly_refused(run: Repetition, opcua: Rig) -> None:
 async def _say_what_is_asked_for(run: Repetition, at: Rig) -> None:
     commands = exercise(at).commands
     for asked in () if commands is None else commands(run.rng):
-        if not _can_be_asked(at, asked):
+        if not can_be_asked(at, asked):
             continue
         before = await at.device.image()
         reply = await at.call(asked.operation, **asked.inputs)
@@ -507,21 +505,10 @@ async def a_meaningless_switch(run: Repetition, at: Rig, guarded: Rig) -> None:
 # -- WR-006, WR-007 -----------------------------------------------------------------------------------------
 
 
-_FORBIDDEN = ("access_denied", "not_writable", "illegal_address", "invalid_input")
-"""Codes for a target that is not on the list; an adapter may know no other targets, or say so in its schema."""
-_BEYOND = ("range_overflow", "access_denied", "invalid_input", "illegal_value", "limit_exceeded")
-_NO_NUMBER = (*_BEYOND, "type_mismatch")
+_NO_NUMBER = (*BEYOND, "type_mismatch")
 _TOO_SOON = ("rate_limited", "access_denied")
 _MARGIN_S = 0.1
 """Seconds beyond the time between two writes: two clocks count it."""
-
-
-def _can_be_asked(at: Rig, asked: Asked) -> bool:
-    """Tell whether the subject has bound the operation of a call, with all the inputs that it may lack."""
-    further = asked.inputs.keys() & {*protocols()[at.protocol].operations[asked.operation].voluntary_inputs}
-    return at.subject.claims(asked.operation) and all(
-        at.subject.accepts_input(asked.operation, name) for name in further
-    )
 
 
 @TASKS.every_protocol(
@@ -539,7 +526,7 @@ async def only_what_is_on_the_list_is_written(run: Repetition, at: Rig, bounded:
     if not bounds.allowed:
         run.not_applicable("the subject file does not say which targets the adapter was told to allow")
     assert asks.fenced is not None
-    every = [asked for asked in asks.fenced(run.rng) if _can_be_asked(bounded, asked)]
+    every = [asked for asked in asks.fenced(run.rng) if can_be_asked(bounded, asked)]
     inside = [asked for asked in every if all(map(bounds.allows, asked.points))]
     outside = [asked for asked in every if asked not in inside]
     # What has limits as well is asked for by WR-007.
@@ -549,52 +536,20 @@ async def only_what_is_on_the_list_is_written(run: Repetition, at: Rig, bounded:
         run.not_applicable("the list has none, or all, of the targets that the kit can write")
     await a_read_works(run, bounded)
     for asked in outside:
-        await _refused(run, bounded, bounded.call, asked, *_FORBIDDEN, requirement="WR-006")
+        await refused(run, bounded, bounded.call, asked, *FORBIDDEN, requirement="WR-006")
     asked = outside[0]
     if bounded.arguments_of(asked.operation, **asked.inputs) is not None:
         forced = partial(bounded.call_altered, altered=Alteration(given={"force": True, "override": True}))
-        await _refused(run, bounded, forced, asked, *_FORBIDDEN, requirement="WR-006")
+        await refused(run, bounded, forced, asked, *FORBIDDEN, requirement="WR-006")
     for asked in inside:
         reply = await bounded.call(asked.operation, **asked.inputs)
         if run.succeeds(reply, requirement="WR-006"):
-            run.witnessed(await _is_written(bounded, reply, asked, "WR-006"))
+            run.witnessed(await is_written(bounded, reply, asked, "WR-006"))
 
 
 def _points_of(at: Rig, target: str) -> Iterable[str]:
     known = exercise(at).limited.get(target)
     return () if known is None else known.ways[0](1).points
-
-
-async def _is_written(at: Rig, reply: Reply, asked: Asked, requirement: str) -> list[Finding]:
-    image: Any = await at.device.image()
-    if asked.points.keys() <= image["points"].keys():
-        return citing(requirement, witness(at).holds(image, asked.points))
-    entries = await asked_of_the_device(at, asked, reply)
-    return written_once(at, asked, reply, entries, requirement=requirement)
-
-
-async def _refused(
-    run: Repetition,
-    at: Rig,
-    call: Callable[..., Awaitable[Reply]],
-    asked: Asked,
-    *codes: str,
-    requirement: str,
-    until_ns: float = math.inf,
-) -> None:
-    """Expect that a write is refused before anything is sent, and that its targets are as they were.
-
-    Args:
-        until_ns: monotonic; a write that was answered later may be a success.
-    """
-    before: Any = await at.device.image()
-    reply = await call(asked.operation, **asked.inputs)
-    if reply.success and (reply.exchange.received_ns or math.inf) >= until_ns:
-        return
-    run.fails(reply, *codes, outcome=NOTHING_SENT, requirement=requirement)
-    run.witnessed(nothing_arrived(at, since(reply, await at.journal()), requirement=requirement))
-    held = {point: before["points"][point] for point in asked.points if point in before["points"]}
-    run.witnessed(citing(requirement, witness(at).holds(await at.device.image(), held)))
 
 
 @TASKS.every_protocol(
@@ -614,7 +569,7 @@ async def what_is_beyond_a_limit_is_not_written(run: Repetition, at: Rig, bounde
         run.not_applicable("the subject file does not say which limits the adapter was told")
     known = exercise(at).limited
     judged = {
-        target: [way for way in known[target].ways if _can_be_asked(bounded, way(1))]
+        target: [way for way in known[target].ways if can_be_asked(bounded, way(1))]
         for target in limits
         if target in known
     }
@@ -649,18 +604,18 @@ class _Limiting:
         await self._in_time()
         reply = await self._at.call(asked.operation, **asked.inputs)
         if self._run.succeeds(reply, requirement="WR-007"):
-            self._run.witnessed(await _is_written(self._at, reply, asked, "WR-007"))
+            self._run.witnessed(await is_written(self._at, reply, asked, "WR-007"))
         return reply
 
     async def refused(self, asked: Asked, *codes: str) -> None:
         """Expect that a write is refused, when it is time for one."""
         await self._in_time()
-        await _refused(self._run, self._at, self._at.call, asked, *codes, requirement="WR-007")
+        await refused(self._run, self._at, self._at.call, asked, *codes, requirement="WR-007")
 
     async def refused_after(self, first: Reply, asked: Asked, every_s: float) -> None:
         """Expect that a write is refused which comes too soon after another one, as far as both were quick enough to be too close."""
         call, until_ns = self._at.call, first.exchange.sent_ns + every_s * 1e9
-        await _refused(self._run, self._at, call, asked, *_TOO_SOON, requirement="WR-007", until_ns=until_ns)
+        await refused(self._run, self._at, call, asked, *_TOO_SOON, requirement="WR-007", until_ns=until_ns)
 
     async def _in_time(self) -> None:
         if self.limit.every_s is not None:
@@ -674,27 +629,22 @@ async def _keeps(at: _Limiting, ways: Sequence[Callable[[float], Asked]]) -> Non
         if limit.step is None:
             for bound, beyond in ((limit.lowest, -unit), (limit.highest, unit)):
                 if bound is not None:
-                    await at.written(way(_whole(bound)))
-                    await at.refused(way(_whole(bound + beyond)), *_BEYOND)
+                    await at.written(way(whole(bound)))
+                    await at.refused(way(whole(bound + beyond)), *BEYOND)
                     last = bound
         else:
-            await at.written(way(_whole(last)))
-            await at.refused(way(_whole(last + limit.step + unit)), *_BEYOND)
+            await at.written(way(whole(last)))
+            await at.refused(way(whole(last + limit.step + unit)), *BEYOND)
             last += limit.step
-            await at.written(way(_whole(last)))
-    within = ways[0](_whole(last))
+            await at.written(way(whole(last)))
+    within = ways[0](whole(last))
     for text in ("NaN", "Infinity") if at.known.given_as in within.inputs else ():
         asked = replace(within, inputs={**within.inputs, at.known.given_as: text})
         await at.refused(asked, *_NO_NUMBER)
     if limit.every_s is not None:
         # A number that a device holds already is not always sent.
         inner = last + unit if limit.highest is None and limit.step is None else last - unit
-        await at.refused_after(await at.written(ways[0](_whole(inner))), within, limit.every_s)
-
-
-def _whole(value: float) -> float:
-    """Return a whole number as one, as tools for whole numbers want it."""
-    return int(value) if value == int(value) else value
+        await at.refused_after(await at.written(ways[0](whole(inner))), within, limit.every_s)
 
 
 # -- WR-008, WR-009 -----------------------------------------------------------------------------------------

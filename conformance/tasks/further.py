@@ -28,7 +28,7 @@ from pytest_otmcp.trial.explanation import explanation
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
-from pytest_otmcp.trial.task import Task, Tasks
+from pytest_otmcp.trial.task import Steps, Task, Tasks
 
 from .common import (
     NOTHING_SENT,
@@ -69,9 +69,12 @@ __all__ = [
     "set_up",
     "there",
     "usual",
+    "watchdog",
 ]
 
 T = TypeVar("T")
+_BUSY_S = 10.0
+"""Seconds more than a watchdog takes that a machine may need that is busy."""
 Of = Callable[[Repetition], T]
 """Makes what one repetition asks for."""
 
@@ -214,13 +217,22 @@ async def set_up(at: Rig, *asked: Asked) -> None:
             await at.device.poke(**poke)
 
 
+async def watchdog(at: Rig, seconds: float, **where: int) -> None:
+    """Wait until outputs have fallen because their master is silent; ``seconds`` is the time of the watchdog, on a machine that is not busy."""
+    await at.wait_for(timeout_s=seconds + _BUSY_S, kind="watchdog", origin="plant", **where)
+
+
 async def call(at: Rig, asked: Asked) -> Reply:
     """Make a call."""
     return await at.call(asked.operation, **asked.inputs)
 
 
-def ping(of: Further, id: str, title: str, **told: str) -> Task:
-    """Declare the item that asks whether the device can be reached."""
+def ping(of: Further, id: str, title: str, *, after: Steps | None = None, **told: str) -> Task:
+    """Declare the item that asks whether the device can be reached.
+
+    Args:
+        after: steps after the repetitions; None is a ping that the device answers late.
+    """
 
     @of.item(id, "normal", title, needs="ping", capability="reading", requirements="REC-002 MCP-008", told=told)
     async def steps(run: Repetition, at: Rig) -> None:
@@ -233,6 +245,10 @@ def ping(of: Further, id: str, title: str, **told: str) -> Task:
         reply = await at.call("ping")
         run.succeeds(reply, reachable=True)
         await status_is_known(run, at, of.witness.answered, reply)
+
+    if after is not None:
+        steps.after(after)
+        return steps
 
     @of.after(steps)
     async def it_is_slow(run: Repetition, at: Rig) -> None:

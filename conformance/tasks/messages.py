@@ -7,6 +7,7 @@ import base64
 import json
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
@@ -17,7 +18,17 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-__all__ = ["arrival", "collect", "publish_from_kit", "received", "receives", "sync_point", "tells", "tells_topics"]
+__all__ = [
+    "arrival",
+    "collect",
+    "publish_from_kit",
+    "received",
+    "receives",
+    "subscribe",
+    "sync_point",
+    "tells",
+    "tells_topics",
+]
 
 COLLECT_S = 2
 """Seconds that a call that waits for messages is told to wait, on a machine that is not slow."""
@@ -27,6 +38,9 @@ MOST_AWAITED = 100
 
 SUBSCRIBING_S = 4.0
 """Seconds that such a call has to subscribe; a message that is published earlier cannot be received."""
+
+SETTLING_S = 0.25
+"""Seconds in which an adapter reads what it was sent, where none of its calls shows that it has."""
 
 Messages = Mapping[str, tuple[str, str]]
 
@@ -91,23 +105,53 @@ async def arrival(
             return
 
 
+async def subscribe(mqtt: Rig, filter: str, *, qos: int = 0, control: bool = False) -> Reply:
+    """Subscribe, and wait until the broker has granted the filter.
+
+    Some adapters say that they are subscribed as soon as their library has taken the request. MQT-002 judges that; a message that the kit
+    publishes in the meantime would be lost by chance.
+
+    Args:
+        control: the call is the kit's own, and no part of the task.
+    """
+    reply = await mqtt.call("subscribe", role="control" if control else None, filter=filter, qos=qos)
+    missing = partial(oracle.not_granted, filter=filter)
+    # An adapter that has the subscription already need not ask for it again.
+    if (
+        reply.success
+        and missing(await mqtt.journal())
+        and (await mqtt.follow(oracle.Subscriptions)).granted(filter, qos=None)
+    ):
+        await arrival(mqtt, missing, kind="SUBACK", direction="out")
+    return reply
+
+
 async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:
     """Perform an exchange on the adapter's connection: after it the adapter has read what the broker sent before.
 
     A state that is told from a cache is no exchange, and one that is asked for over another connection none on this one; the adapter then
     subscribes to a topic below the filter, on which nothing is published: to subscribe to the filter again would bring retained messages
-    again, replace a subscription that was lost, or empty its buffer.
+    again, replace a subscription that was lost, or empty its buffer. Where no call waits for the broker, the adapter is
+    left alone for a moment.
     """
-    subscribes = mqtt.subject.claims("subscribe")
     # A cache that is declared is renewed in its own time: an exchange during the call is not the call's.
+    subscribes = mqtt.subject.claims("subscribe")
     if not subscribes or (mqtt.subject.claims("info") and mqtt.subject.max_age_s("info") is None):
         state = await mqtt.call("info", role="control")
         run.succeeds(state)
-        journal = await mqtt.journal()
-        if not subscribes or oracle.caught_up(journal, state.during(journal)):
+        if await _caught_up(mqtt, state):
             return
-    unused = f"{filter.removesuffix('/#')}/none"
-    run.succeeds(await mqtt.call("subscribe", role="control", filter=unused, qos=0))
+    if subscribes:
+        subscribed = await subscribe(mqtt, f"{filter.removesuffix('/#')}/none", control=True)
+        run.succeeds(subscribed)
+        if await _caught_up(mqtt, subscribed):
+            return
+    await mqtt.watch(SETTLING_S)
+
+
+async def _caught_up(mqtt: Rig, reply: Reply) -> bool:
+    journal = await mqtt.journal()
+    return oracle.caught_up(journal, reply.during(journal))
 
 
 def receives(run: Repetition, mqtt: Rig, reply: Reply, topic: str, payload: str, *, by_topic: bool = True) -> None:

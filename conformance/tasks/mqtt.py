@@ -35,7 +35,7 @@ from .common import (
     untold,
     writes_fail,
 )
-from .messages import arrival, collect, publish_from_kit, receives, sync_point, tells, tells_topics
+from .messages import arrival, collect, publish_from_kit, receives, subscribe, sync_point, tells, tells_topics
 from .refusals import filters_are_no_topics
 
 __all__ = ["TASKS"]
@@ -92,7 +92,7 @@ async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
         text = "sensors/#" if tells_topics(mqtt) else "sensors/temperature"
         await collect(run, mqtt, {text: ("sensors/temperature", nonce)})
         return
-    reply = await mqtt.call("subscribe", filter="sensors/#", qos=0)
+    reply = await subscribe(mqtt, "sensors/#")
     run.succeeds(reply, granted_qos=0)
     qos = mqtt.subject.expected_if_accepted("subscribe", "qos", 0)
     # An adapter that has the subscription already need not ask for it again.
@@ -116,7 +116,7 @@ async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
     if not tells_topics(mqtt):
         # A broker may send a message once for each subscription that selects it (MQTT 3.1.1, section 3.3.5).
         topic, filters = "plant/pressure", ["plant/pressure"]
-        run.succeeds(await mqtt.call("subscribe", filter=topic, qos=0))
+        run.succeeds(await subscribe(mqtt, topic))
     for text in filters:
         nonce = f"nonce-{run.rng.getrandbits(64):016x}"
         payload = base64.b64encode(nonce.encode()).decode()
@@ -331,7 +331,7 @@ async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
     Seen: a subscription that the broker granted with QoS 1.
     """
     await mqtt.stays_quiet(QUIET_S, lambda entries: oracle.not_subscribed(entries, "sensors/#"))
-    run.succeeds(await mqtt.call("subscribe", filter="sensors/#", qos=1), granted_qos=1)
+    run.succeeds(await subscribe(mqtt, "sensors/#", qos=1), granted_qos=1)
     run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted("sensors/#", qos=1))
 
 
@@ -392,7 +392,7 @@ async def the_adapter_listens(run: Repetition, mqtt: Rig) -> None:
     if mqtt.subject.blocks("messages"):
         return
     for text in ("stress/#",) if tells_topics(mqtt) else (f"stress/{i}" for i in range(4)):
-        run.succeeds(await mqtt.call("subscribe", filter=text, qos=0))
+        run.succeeds(await subscribe(mqtt, text))
 
 
 @TASKS.task(
@@ -482,7 +482,7 @@ async def the_session_is_what_it_was(run: Repetition, mqtt: Rig) -> None:
     keeps = mqtt.subject.reconnects and mqtt.subject.claims("subscribe") and mqtt.subject.claims("messages")
     listens = keeps and not mqtt.subject.blocks("messages")
     if listens:
-        run.succeeds(await mqtt.call("subscribe", filter="outage/state", qos=0), requirement="REC-001")
+        run.succeeds(await subscribe(mqtt, "outage/state"), requirement="REC-001")
     if mqtt.subject.claims("device_birth"):
         # What is told of a device that was never announced may be refused for that.
         metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]

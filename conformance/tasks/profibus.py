@@ -163,8 +163,7 @@ async def outputs_fall_with_their_master(run: Repetition, profibus: Rig) -> None
     watchdog_s = oracle.watchdog_s(await profibus.device.image(), VALVES)
     await profibus.fresh_session()
     if watchdog_s is not None and oracle.cleared(await profibus.device.image(), VALVES, requirement="MCP-009"):
-        # A second more than it takes: the machine may be busy.
-        await profibus.wait_for(timeout_s=watchdog_s + 1.0, kind="watchdog", station=VALVES)
+        await further.watchdog(profibus, watchdog_s, station=VALVES)
     run.witnessed(oracle.cleared(await profibus.device.image(), VALVES, requirement="MCP-009"))
 
 

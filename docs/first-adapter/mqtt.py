@@ -34,6 +34,10 @@ def client(**settings: Any) -> mqtt.Client:
     """
     made = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5, **settings)
     made.connect_timeout = TIMEOUT_S
+    if "MQTT_CA" in os.environ:
+        # The broker's name is compared as well; tls_insecure_set(True) would end that.
+        files = (os.environ.get(name) for name in ("MQTT_CA", "MQTT_CERT", "MQTT_KEY"))
+        made.tls_set(*files)
     return made
 
 

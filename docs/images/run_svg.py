@@ -52,7 +52,7 @@ def told() -> list[str]:
             command, cwd=directory, env=environment, capture_output=True, encoding="utf-8", check=False
         )
     lines = done.stdout.splitlines()
-    begin = next(index for index, line in enumerate(lines) if "test_normal.py" in line)
+    begin = next(index for index, line in enumerate(lines) if line == "normal suite")
     end = next(index for index, line in enumerate(lines) if "short test summary" in line)
     # A log has no moving line: it says once that devices and adapters start, and its verdict is one line.
     shown = [part for line in lines[begin:end] if "starting" not in line for part in folded(line)]

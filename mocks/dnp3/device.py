@@ -90,7 +90,7 @@ class Dnp3Device(TcpDevice):
         self.faults = FaultPlan([])
         for connection in self.open:
             connection.session.unconfirmed.clear()
-        self.network.become("open")
+        self.network.restored()
 
     async def tick(self) -> None:
         self.plant.tick(_now_ms())

@@ -6,6 +6,7 @@ It is not a library's server, because a reference must be strict, and because wh
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -32,7 +33,7 @@ class EthernetIpDevice(TcpDevice):
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         await super().serve(endpoints)
         listener = endpoints[self.protocol]
-        assert not isinstance(listener, int)
+        assert isinstance(listener, socket.socket)
         self._controller.address = listener.getsockname()[:2]
 
     def connection(self) -> asyncio.Protocol:
@@ -73,7 +74,7 @@ class EthernetIpDevice(TcpDevice):
 
     async def reset(self) -> None:
         self._controller.reset()
-        self.network.become("open")
+        self.network.restored()
 
     async def tick(self) -> None:
         self._controller.plant.tick()

@@ -86,7 +86,7 @@ class ModbusDevice(TcpDevice):
         self.units = {1: UnitImage()}
         self.faults = FaultPlan([])
         self.restless = []
-        self.network.become("open")
+        self.network.restored()
 
     async def tick(self) -> None:
         for unit in self.units.values():

@@ -87,7 +87,6 @@ class Broker:
         self.sessions: dict[str, Session] = {}
         self.counted: Counter[Receiver] | None = None
         self.subscribed: Callable[[str], None] = lambda topic_filter: None
-        self._connections = 0
         self._open: set[asyncio.Transport] = set()
         self._all_closed = asyncio.Event()
         self._assigned = itertools.count(1)
@@ -96,11 +95,9 @@ class Broker:
 
     # -- connections --------------------------------------------------------------------------------------
 
-    def opened(self, transport: asyncio.Transport) -> int:
-        """Note a new connection; return its number."""
+    def opened(self, transport: asyncio.Transport) -> None:
+        """Note a new connection."""
         self._open.add(transport)
-        self._connections += 1
-        return self._connections
 
     def closed(self, transport: asyncio.Transport) -> None:
         """Note that a connection has ended."""

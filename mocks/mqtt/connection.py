@@ -86,7 +86,8 @@ class Connection(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, Link)
         self._transport = transport
-        self.number = transport.number = self._broker.opened(transport)
+        self.number = transport.number
+        self._broker.opened(transport)
         self._loop = asyncio.get_running_loop()
         if self.origin == "client":
             self._broker.journal.heard_of(self.number, process_of(transport))

@@ -7,6 +7,7 @@ import base64
 import socket
 from collections import Counter
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from pytest_otmcp.wire.mqtt.packets import Publish
@@ -39,7 +40,7 @@ class MqttDevice(Device):
         self.edge_node = EdgeNode()
         self.network = Network(self.journal)
         # What happens to the clients' network does not happen to the plant's.
-        self._private = Network(self.journal)
+        self._private = Network(self.journal, self.network.numbers)
         self._servers: list[asyncio.Server] = []
         self._answering: list[Publish] = []
         self.broker.subscribed = self._subscribed
@@ -60,6 +61,9 @@ class MqttDevice(Device):
             self.network.protocol(lambda: Connection(self.broker)), sock=listener, backlog=128
         )
         self._servers = [private, public]
+
+    def secure(self, folder: Path) -> None:
+        self.network.secure(folder)
 
     async def aclose(self) -> None:
         await self.edge_node.aclose()
@@ -180,7 +184,7 @@ class MqttDevice(Device):
 
     async def reset(self) -> None:
         self.broker.faults = FaultPlan([])
-        self.network.become("open")
+        self.network.restored()
         self.broker.forget()
         self._answering.clear()
         await self.edge_node.reset()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from asyncua import ua
@@ -12,6 +13,7 @@ from asyncua import ua
 from ..device import Device
 from ..endpoint import OpenEndpoint
 from ..network import Network
+from .certificates import USUAL, policies, presented
 from .extra_nodes import ExtraNodes
 from .faults import FaultPlan
 from .limits import Limits
@@ -29,7 +31,7 @@ _LARGEST_CODE = 2**32 - 1
 
 
 class OpcUaDevice(Device):
-    """The server ``urn:otmcp:plant`` without security, for every client."""
+    """The server ``urn:otmcp:mock``, for every client; without security unless it is given certificates."""
 
     protocol = "opcua"
 
@@ -39,6 +41,21 @@ class OpcUaDevice(Device):
         self._server = server
         self._extra_nodes = ExtraNodes(server, plant)
         self._namespaces = Namespaces(server, self._state)
+        self._certificates: Path | None = None
+
+    def secure(self, folder: Path) -> None:
+        self._certificates = folder
+        self._state.certificate = USUAL
+        self._server.secure(presented(folder, USUAL), policies(USUAL))
+
+    async def _present(self, name: object) -> None:
+        if self._certificates is None or not isinstance(name, str):
+            raise ValueError("a poke of TLS is {'tls': NAME}, of a device that was started with certificates")
+        self._server.secure(presented(self._certificates, name), policies(name))
+        await self._server.offer()
+        self._state.certificate = name
+        self.journal.event(connection=0, direction="out", kind="tls", origin="kit", certificate=name)
+        self._state.network.close()
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         listener = endpoints["opcua"]
@@ -92,8 +109,12 @@ class OpcUaDevice(Device):
         ``{"sessions": "closed"}``                          every session is closed, the connections stay
         ``{"namespaces": ["urn:a"]}``                       namespaces before the plant's: :class:`Namespaces`
         ``{"network": "black_hole"}``                       see :mod:`..network`
+        ``{"tls": "expired"}``                              another certificate: :mod:`.certificates`
         ==================================================  ===========================================================
         """
+        if "tls" in params:
+            await self._present(params["tls"])
+            return
         if self._state.network.poke(params):
             return
         if "limits" in params:
@@ -133,7 +154,9 @@ class OpcUaDevice(Device):
         self._state.faults = FaultPlan([])
         self._state.limits = Limits()
         self._state.subscribe("normal")
-        self._state.network.become("open")
+        self._state.network.restored()
+        if self._certificates is not None and self._state.certificate != USUAL:
+            await self._present(USUAL)
         await self._state.close_abandoned_sessions()
         await self._advertise()
         await self._extra_nodes.clear()

@@ -11,8 +11,9 @@ from functools import partial
 from typing import Any
 
 from asyncua import ua
-from asyncua.common.connection import TransportLimits
+from asyncua.common.connection import MessageChunk, TransportLimits
 from asyncua.common.utils import Buffer, ServiceError
+from asyncua.crypto.security_policies import SecurityPolicyNone
 from asyncua.server.binary_server_asyncio import OPCUAProtocol
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import SessionState
@@ -24,6 +25,7 @@ from pytest_otmcp.wire.opcua import chunk_length
 
 from ..network import Link
 from ..peer import process_of
+from .certificates import told_of, unsealed
 from .exchange import Exchange, current
 from .state import DeviceState
 
@@ -61,19 +63,38 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         self._number = number
         self._late: set[asyncio.Task[None]] = set()
         self._chunks: list[bytes] = []
+        self._genuine = self._connection._receive
+        self._connection._receive = self._opened
         device.connections.add(self)
+
+    def _opened(self, chunk: MessageChunk) -> Any:
+        """Take a chunk whose seal has been opened: the journal has it as it would be without one."""
+        if self._chunks and self._connection.security_policy.Mode != ua.MessageSecurityMode.None_:
+            self._chunks[-1] = unsealed(chunk)
+        return self._genuine(chunk)
 
     def open_secure_channel(self, algohdr: Any, seqhdr: Any, body: Buffer) -> None:
         self._exchange("OpenSecureChannel", seqhdr.RequestId, self._taken()).asked()
         super().open_secure_channel(algohdr, seqhdr, body)
+        if (handshake := told_of(self._connection.security_policy)) is not None:
+            self._device.journal.event(
+                connection=self._number,
+                direction="in",
+                kind="tls_open",
+                certificate=self._device.certificate,
+                **handshake,
+            )
 
     async def process(self, header: Any, body: Buffer) -> bool:
         # The messages of the connection protocol below (Hello, Acknowledge) are left out: they are no services.
         if header.MessageType != ua.MessageType.Hello:
             self._chunks.append(body._data[: header.packet_size])
-        if header.MessageType == ua.MessageType.SecureClose:
-            self._exchange("CloseSecureChannel", 0, self._taken()).asked()
-        return bool(await super().process(header, body))
+        try:
+            return bool(await super().process(header, body))
+        finally:
+            # It has no answer, so nothing else records it.
+            if header.MessageType == ua.MessageType.SecureClose:
+                self._exchange("CloseSecureChannel", 0, self._taken()).asked()
 
     def _taken(self) -> list[bytes]:
         """Return the chunks of the message that has arrived."""
@@ -152,27 +173,41 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         elif not rule.drop and self._transport.carries():
             said: dict[str, Any] = {"drip_s": rule.manner.drip_s} if rule.manner.drip_s else {}
             for again in ({}, {"duplicate": True}) if rule.manner.duplicate else ({},):
-                message = self._encoded(requesthandle, seqhdr, response, msgtype)
+                message, plain = self._encoded(requesthandle, seqhdr, response, msgtype)
                 if rule.manner.mangle is None:
-                    exchange.answered(message, seqhdr.RequestId, **said, **again)
+                    exchange.answered(plain, seqhdr.RequestId, **said, **again)
                 with self._transport.sending(rule.manner):
                     self._transport.write(message)
 
     def _encoded(
         self, requesthandle: int, seqhdr: Any, response: Any, msgtype: ua.MessageType = ua.MessageType.SecureMessage
-    ) -> bytes:
+    ) -> tuple[bytes, bytes]:
+        """Return the bytes of an answer, and what they would be without a seal."""
         response.ResponseHeader.RequestHandle = requesthandle
-        message: bytes = self._connection.message_to_binary(
-            struct_to_binary(response), message_type=msgtype, request_id=seqhdr.RequestId
+        connection, body, request_id = self._connection, struct_to_binary(response), seqhdr.RequestId
+        sent = connection._sequence_number
+        message: bytes = connection.message_to_binary(body, message_type=msgtype, request_id=request_id)
+        if connection.security_policy.Mode == ua.MessageSecurityMode.None_:
+            return message, message
+        chunks = MessageChunk.message_to_chunks(
+            SecurityPolicyNone(),
+            body,
+            connection._limits.max_send_buffer,
+            message_type=msgtype,
+            channel_id=connection.security_token.ChannelId,
+            request_id=request_id,
+            token_id=connection.security_token.TokenId,
         )
-        return message
+        for number, chunk in enumerate(chunks, sent + 1):
+            chunk.SequenceHeader.SequenceNumber = number
+        return message, b"".join(chunk.to_binary() for chunk in chunks)
 
     def _notify(self, requesthandle: int, seqhdr: Any, response: ua.PublishResponse) -> None:
         if self._transport.carries():
             nodes = self._nodes(response.Parameters)
-            message = self._encoded(requesthandle, seqhdr, response)
+            message, plain = self._encoded(requesthandle, seqhdr, response)
             # One without values keeps the subscription alive.
-            for chunk in Framer(chunk_length).feed(message) if nodes else ():
+            for chunk in Framer(chunk_length).feed(plain) if nodes else ():
                 self._device.journal.frame(chunk, connection=self._number, direction="out", nodes=nodes)
             self._transport.write(message)
 
@@ -199,16 +234,16 @@ def _without_channel(response: Any) -> bool:
 
 
 class PlantProtocol(OPCUAProtocol):  # type: ignore[misc]
-    """A connection with a number, 1 for the device's first."""
+    """A connection with a number."""
 
-    def __init__(self, *, device: DeviceState, number: int, **parts: Any) -> None:
+    def __init__(self, *, device: DeviceState, **parts: Any) -> None:
         super().__init__(**parts)
         self._device = device
-        self._number = number
+        self._number: int
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, Link)
-        transport.number = self._number
+        self._number = transport.number
         self._device.journal.connected(self._number, process_of(transport))
         super().connection_made(transport)
         if self.transport is None:

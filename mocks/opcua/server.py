@@ -4,7 +4,6 @@ connections of this package."""
 from __future__ import annotations
 
 import asyncio
-import itertools
 import socket
 from typing import Any
 
@@ -34,7 +33,7 @@ class _Internal(InternalServer):  # type: ignore[misc]
 
 
 class PlantServer(Server):  # type: ignore[misc]
-    """A server without security that serves a given listener."""
+    """A server that serves a given listener, without security unless it is told otherwise."""
 
     def __init__(self) -> None:
         super().__init__(iserver=_Internal())
@@ -45,6 +44,17 @@ class PlantServer(Server):  # type: ignore[misc]
         # Nobody has a certificate here. Any user name and password is as good as none: an adapter may have been told some.
         self.set_identity_tokens([ua.AnonymousIdentityToken, ua.UserNameIdentityToken])
 
+    def secure(self, files: tuple[Any, Any], policies: list[ua.SecurityPolicyType]) -> None:
+        """Present a certificate, with its key, at endpoints with these policies, as soon as they are offered."""
+        self.iserver.certificate, self.iserver.private_key = files
+        self.set_security_policy(policies)
+
+    async def offer(self) -> None:
+        """Offer endpoints for the present policies, and no others."""
+        self._policies.clear()
+        self.iserver.endpoints.clear()
+        await self._setup_server_nodes()
+
     async def listen(self, listener: socket.socket, owner: DeviceState) -> None:
         """Accept connections on ``listener`` for a device."""
 
@@ -54,17 +64,15 @@ class PlantServer(Server):  # type: ignore[misc]
         host, port = listener.getsockname()[:2]
         self.set_endpoint(f"opc.tcp://{host}:{port}")
         self.iserver.session_type = Session
-        await self._setup_server_nodes()
+        await self.offer()
         await self.iserver.start()
         self.bserver = BinaryServer(self.iserver, host, port, self.limits)
         self.bserver.set_policies(self._policies)
-        numbers = itertools.count(1)
 
         def protocol() -> PlantProtocol:
             server = self.bserver
             return PlantProtocol(
                 device=owner,
-                number=next(numbers),
                 iserver=server.iserver,
                 policies=server._policies,
                 clients=server.clients,

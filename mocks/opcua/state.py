@@ -37,6 +37,7 @@ class DeviceState:
         faults: the fault plan in force.
         limits: the limits of the server.
         network: the way between the server and its clients.
+        certificate: name of the one that is presented; empty without security.
         subscriptions: one of :data:`SUBSCRIPTIONS`.
         sessions: the open sessions of clients.
         connections: the open connections.
@@ -47,6 +48,7 @@ class DeviceState:
     journal: Journal
     plant: Plant
     network: Network
+    certificate: str = ""
     subscriptions: str = "normal"
     faults: FaultPlan = field(default_factory=lambda: FaultPlan([]))
     limits: Limits = field(default_factory=Limits)

@@ -77,7 +77,7 @@ class S7Device(TcpDevice):
         self.plant = Plant()
         self.faults = FaultPlan([])
         self.restless = []
-        self.network.become("open")
+        self.network.restored()
 
     async def tick(self) -> None:
         self.plant.tick()

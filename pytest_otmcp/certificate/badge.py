@@ -21,16 +21,17 @@ _PADDING = 7
 
 
 def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of ``badge.json``: the protocols, each with its level where one is awarded, and how many items of the suite applied."""
+    """Return the content of ``badge.json``: the protocols, each with its level where one is awarded, how many items passed, of how many that
+    there are about them, and the version of the catalogue of requirements."""
     told = certificate["predicate"]["otmcp"]
-    applied = told["applied"]
+    passed, of = (sum(count[name] for count in told["items"].values()) for name in ("passed", "of"))
     awarded = told["level"]["awarded"] or {}
     named = [
         protocols()[protocol].name + (f" {level.capitalize()}" if (level := awarded.get(protocol)) else "")
         for protocol in told["adapters"]
     ]
     message = "conformant: " + ", ".join(named)
-    message += f" ({applied['items']} of {applied['of']} items applied)"
+    message += f" ({passed} of {of} items, catalogue {told['catalogue']})"
     return {"schemaVersion": 1, "label": _LABEL, "message": message, "color": _COLOUR.removeprefix("#")}
 
 

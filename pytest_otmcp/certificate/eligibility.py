@@ -13,7 +13,7 @@ from unicodedata import category
 
 from ..core.matrix import SUITES, repetitions
 from ..core.verdict import Status, Verdict, decide
-from ..protocols.external import external_devices
+from ..protocols.external import DEVICE, external_devices
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
 from ..record.consistency import clock_faults, inapplicable_by_steps
@@ -114,6 +114,8 @@ def _verdict_objections(run: Run, tasks: Tasks) -> Iterator[str]:
 
 def _settings_objections(run: Run) -> Iterator[str]:
     settings, deviations = run["settings"], run["subject"]["deviations"]
+    for key in settings.get("devices", {}):
+        yield f"the {key} device was a real one: a field record shows no level and earns no certificate"
     if deviations:
         yield f"known deviations are declared, and a certificate excuses nothing: {deviations}"
     for sentence in settings["narrowed"]:
@@ -124,7 +126,7 @@ def _settings_objections(run: Run) -> Iterator[str]:
     if settings["time_scale"] != 1:
         yield f"deadlines and windows were scaled by {settings.get('time_scale')}"
     for device in external_devices().values():
-        if cast(dict[str, object], settings).get(device.option) != "embedded":
+        if device.option != DEVICE and cast(dict[str, object], settings).get(device.option) != "embedded":
             yield f"the {device.option} was not the kit's own"
     if settings["suites"] != list(SUITES):
         yield f"not every suite was chosen: {settings.get('suites')}"

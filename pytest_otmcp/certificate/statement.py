@@ -25,6 +25,7 @@ from ..record.warnings import warnings
 from ..subject.claims import Claims
 from ..suite.levels import said, shown, standings
 from ..suite.requirements import catalogue
+from ..suite.spoken import spoken
 from ..trial.task import Task
 from .eligibility import exercised, slowest_recovery_s
 
@@ -89,7 +90,8 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
                 "schema": SCHEMA,
                 "verdict": footer["verdict"],
                 "warnings": warned,
-                "applied": {"items": len(passed), "of": len(tasks)},
+                "catalogue": catalogue().version,
+                "items": {family: {"passed": count.passed, "of": count.of} for family, count in spoken(run).items()},
                 "level": awarded(run),
                 "run_id": run["run_id"],
                 "measured_at": run["environment"]["started_at"],
@@ -112,7 +114,7 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
 def awarded(run: Run) -> dict[str, object]:
     """Return the level of each protocol, in a line, and what is missing for the next one."""
     rows = catalogue()
-    found = standings(rows, run["items"], sorted(run["subject"]["adapters"]))
+    found = standings(rows, run["items"], dict(sorted(run["subject"]["adapters"].items())))
     return {
         "awarded": {one.protocol: None if one.level is None else one.level.value for one in found},
         "why": " ".join(f"{said(one)}." for one in found),

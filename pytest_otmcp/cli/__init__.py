@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shutil
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from typing import NoReturn, TextIO
 
@@ -22,9 +24,25 @@ from ..core.text import folded, marked, one_line
 from ..core.verdict import ExitCode
 from ..session.keeper import hide_memory
 
-__all__ = ["Refusal", "add_json", "cut", "main", "show", "show_json", "tell"]
+__all__ = ["Refusal", "add_json", "cut", "main", "seconds", "show", "show_json", "tell"]
 
-_COMMANDS = ("init", "doctor", "call", "certify", "verify", "judge", "explain", "report", "mock", "self-check", "docs")
+_COMMANDS = (
+    "init",
+    "doctor",
+    "call",
+    "console",
+    "assess",
+    "certify",
+    "fleet",
+    "merge",
+    "verify",
+    "judge",
+    "explain",
+    "report",
+    "mock",
+    "self-check",
+    "docs",
+)
 _LONGEST = 2000
 _COMPLETING = "_ARGCOMPLETE"
 """Variable by which argcomplete's part in the shell asks the program for the words that fit."""
@@ -71,6 +89,14 @@ def show(text: str, stream: TextIO | None = None) -> None:
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Declare the option of a command whose result a program can read."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def seconds(text: str) -> float:
+    """Return the value of an option that is a duration; an ``argparse`` error for what is none."""
+    with suppress(ValueError):
+        if math.isfinite(found := float(text)) and found > 0:
+            return found
+    raise argparse.ArgumentTypeError(f"expected a number of seconds above 0, found {text!r}")
 
 
 def show_json(document: object) -> None:

@@ -237,12 +237,13 @@ async def _perform(
     adapter: Adapter, variant: str, operation: str, inputs: Mapping[str, object], isolation: Isolation
 ) -> tuple[Reply, list[JournalEntry]]:
     from ..plant.mock_device import MockDevice
+    from ..subject.model import SECURE_FORM
     from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
     from ..trial.session_proof import prove_session
 
     known = protocols()[adapter.protocol]
-    device = MockDevice(known.mock, adapter.protocol)
-    device.walls = isolation.walls(outside=adapter.openings.why_outside)
+    device = MockDevice(known.mock, adapter.protocol, secure=variant == SECURE_FORM)
+    device.walls = isolation.walls(outside=adapter.openings.why_outside, cable=protocols()[adapter.protocol].cable)
     under_test = None
     try:
         await device.launch()

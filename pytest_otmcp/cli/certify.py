@@ -18,16 +18,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import IO, Any
 
 from ..core.challenge import NONCE, is_nonce
 from ..core.errors import UsageError
 from ..core.matrix import SUITES
+from ..core.site import site
 from ..core.verdict import ExitCode
 from . import Refusal, tell
 from .isolated import add_option
 
-__all__ = ["add_parser", "run"]
+__all__ = ["add_parser", "interruptible", "run", "run_suite"]
 
 _DEFAULT_OUT = Path("reports", "certificate")
 _OURS = ("run.json", "certificate.json", "certificate.json.sig", "certificate.html", "badge.json", "badge.svg")
@@ -87,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
     from .issuing import concluded, write, write_pages
     from .signature import check_key, sign
 
+    site()
     if args.sign is not None:
         check_key(args.sign)
     if args.challenge is not None and not is_nonce(args.challenge):
@@ -109,7 +111,12 @@ def run(args: argparse.Namespace) -> int:
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     tell(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})")
-    record, statement = concluded(out, _run_suite(file, args, out))
+    # Nobody can know beforehand which values will be written and read: the seed is random, or follows from a buyer's question.
+    chosen = f"seed={secrets.randbelow(2**32)}" if args.challenge is None else f"challenge={args.challenge}"
+    ended = run_suite(
+        file, out, f"--otmcp-reps={args.reps}", f"--otmcp-{chosen}", f"--otmcp-isolation={args.isolation}"
+    )
+    record, statement = concluded(out, ended)
     write(out, statement)
     if args.sign is not None:
         tell(f"{sign(out / 'certificate.json', args.sign).name} is the signature of {args.sign}")
@@ -124,8 +131,21 @@ def _subject_file(given: Path | None) -> Path | None:
     return default if default.is_file() else None
 
 
-def _run_suite(subject: Path | None, args: argparse.Namespace, out: Path) -> int:
-    """Run the suite in a process of its own; return the exit code of pytest."""
+def run_suite(
+    subject: Path | None, out: Path, *options: str, log: IO[bytes] | None = None, limit_s: float | None = None
+) -> int:
+    """Run the suite in a process of its own; return the exit code of pytest.
+
+    Args:
+        subject: the subject file, an absolute path; None for the reference adapters.
+        out: folder of the record, an absolute path.
+        options: of the run.
+        log: gets what pytest prints; None for this process's own streams.
+        limit_s: seconds after which it is interrupted.
+
+    Raises:
+        subprocess.TimeoutExpired: it was.
+    """
     with tempfile.TemporaryDirectory(prefix="otmcp-certify-") as root:
         ini = Path(root, "pytest.ini")
         ini.write_text("[pytest]\n", encoding="utf-8")
@@ -140,13 +160,10 @@ def _run_suite(subject: Path | None, args: argparse.Namespace, out: Path) -> int
             "--pyargs",
             "pytest_otmcp.conformance",
         ]
-        # Nobody can know beforehand which values will be written and read: the seed is random, or follows from a buyer's question.
-        chosen = f"seed={secrets.randbelow(2**32)}" if args.challenge is None else f"challenge={args.challenge}"
-        command += [f"--otmcp-suite={','.join(SUITES)}", f"--otmcp-reps={args.reps}"]
-        command += [f"--otmcp-{chosen}", f"--otmcp-report-dir={out}", f"--otmcp-isolation={args.isolation}"]
+        command += [f"--otmcp-suite={','.join(SUITES)}", f"--otmcp-report-dir={out}", *options]
         if subject is not None:
             command.append(f"--otmcp-subject={subject}")
-        return _supervised(command, _environment())
+        return _supervised(command, _environment(), log, limit_s)
 
 
 def _environment() -> dict[str, str]:
@@ -155,14 +172,18 @@ def _environment() -> dict[str, str]:
     return {**kept, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
 
 
-def _supervised(command: list[str], environment: dict[str, str]) -> int:
+def _supervised(
+    command: list[str], environment: dict[str, str], log: IO[bytes] | None = None, limit_s: float | None = None
+) -> int:
     """Run a command to its end; pass an interruption on to it once, from whatever signal, and wait for its end."""
-    with _interruptible():
+    with interruptible():
         # The process has a session of its own: otherwise Ctrl-C in a terminal would reach it a second time, while it closes.
-        process = subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, start_new_session=True)
+        process = subprocess.Popen(
+            command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+        )
         try:
-            return process.wait()
-        except KeyboardInterrupt:
+            return process.wait(limit_s)
+        except (KeyboardInterrupt, subprocess.TimeoutExpired):
             process.send_signal(signal.SIGINT)
             with suppress(subprocess.TimeoutExpired):
                 # Whoever wants it to end gets that, whatever keeps it: it is killed, and its keeper ends the rest.
@@ -175,7 +196,7 @@ def _supervised(command: list[str], environment: dict[str, str]) -> int:
 
 
 @contextmanager
-def _interruptible() -> Iterator[None]:
+def interruptible() -> Iterator[None]:
     """Raise KeyboardInterrupt for every signal that asks this process to end, so that nothing is left running."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:

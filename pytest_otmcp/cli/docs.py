@@ -23,14 +23,14 @@ def add_parser(subparsers: Any) -> None:
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "docs",
         help="print a page of the documentation, list the pages, or write them all into a directory",
-        description="Print a page of the documentation (Markdown), a JSON Schema, or a file that a page tells to copy, such as "
-        "first-adapter/strict_mcp.py; with a directory, write all of them into it; without an argument, list the pages.",
+        description="Print a page of the documentation (Markdown) or a part of one, a JSON Schema, or a file that a page tells to copy, "
+        "such as first-adapter/strict_mcp.py; with a directory, write all of them into it; without an argument, list the pages.",
     )
     page = parser.add_argument(
         "page",
         metavar="NAME|DIRECTORY",
         nargs="?",
-        help="a page, such as subject-file; or a directory, with a slash: ./site or /tmp/site",
+        help="a page, such as subject-file; a part, such as by-library#mcp; or a directory, with a slash: ./site or /tmp/site",
     )
     # argcomplete asks an argument for its words by this attribute.
     page.completer = _completed  # type: ignore[attr-defined]
@@ -52,18 +52,35 @@ def run(args: argparse.Namespace) -> int:
         for name, title in named.items():
             show(f"{name:<{width}}  {title}")
         return 0
-    asked = args.page.removeprefix("docs/").removesuffix(".md")
+    name, _, place = args.page.removeprefix("docs/").partition("#")
+    asked = name.removesuffix(".md")
     if asked in copies():
         print(content(asked).decode(), end="")
         return 0
     if asked in named:
-        _print(content(f"{asked}.md" if f"{asked}.md" in titles() else asked).decode())
+        text = content(f"{asked}.md" if f"{asked}.md" in titles() else asked).decode()
+        _print(_part(text, asked, place) if place else text)
         return 0
     if not args.page.startswith((".", "/")) and not args.page.endswith("/"):
         raise UsageError(describe_unknown("page", asked, named))
     number = write(Path(args.page))
     show(f"{number} files written; begin with {Path(args.page) / INDEX}")
     return 0
+
+
+def _part(text: str, page: str, place: str) -> str:
+    """Return what a page says from an anchor to the next.
+
+    Raises:
+        UsageError: the page does not have the anchor.
+    """
+    parts = re.split(r'^<a id="([^"]*)"></a>$\n', text, flags=re.MULTILINE)
+    by_place = dict(zip(parts[1::2], parts[2::2], strict=True))
+    if not by_place:
+        raise UsageError(f"the page {page} has no parts that can be asked for: 'otmcp docs {page}' prints it")
+    if place not in by_place:
+        raise UsageError(describe_unknown(f"part of {page}", place, by_place))
+    return by_place[place]
 
 
 def _print(text: str) -> None:

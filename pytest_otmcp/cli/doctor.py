@@ -14,6 +14,7 @@ from ..core.errors import SubjectError, UsageError
 from ..core.text import counted
 from ..protocols.journal import judged
 from ..protocols.registry import protocols
+from ..subject.claims import Claims
 from . import add_json, show, show_json, tell
 from .init import parse_environment, recognise_protocol
 from .isolated import add_option, isolated
@@ -117,6 +118,12 @@ def _examined(loop: LoopThread, adapter: Adapter, isolation: Isolation, *, quiet
     gaps = _gaps(adapter) if adapter.operations else None
     if gaps:
         say(f"not bound, and not declared as unclaimed: {', '.join(gaps)}; items that need them cannot be tested")
+    if adapter.unclaimed and adapter.operations:
+        say(f"unclaimed: {', '.join(adapter.unclaimed)}; items that need them do not apply")
+        from ..certificate.eligibility import unguarded
+
+        for objection in unguarded(Claims.of_subject({adapter.protocol: adapter}), [adapter.protocol]):
+            say(f"no certificate: {objection}")
     return Examined(protocol=adapter.protocol, command=command, well=well, said=said, not_bound=gaps)
 
 
@@ -185,13 +192,13 @@ async def _examine(adapter: Adapter, variant: str, isolation: Isolation, say: Ca
     from ..onboarding.pack import load_pack
     from ..plant.mock_device import MockDevice
     from ..subject.binding_check import check_bindings
-    from ..subject.model import READ_WRITE
+    from ..subject.model import READ_WRITE, SECURE_FORM
     from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
     from ..trial.session_proof import prove_session
 
     program = adapter.variants[variant].command[0]
-    device = MockDevice(protocols()[adapter.protocol].mock, adapter.protocol)
-    device.walls = isolation.walls(outside=adapter.openings.why_outside)
+    device = MockDevice(protocols()[adapter.protocol].mock, adapter.protocol, secure=variant == SECURE_FORM)
+    device.walls = isolation.walls(outside=adapter.openings.why_outside, cable=protocols()[adapter.protocol].cable)
     under_test = None
     try:
         await device.launch()

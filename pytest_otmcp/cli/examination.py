@@ -1,12 +1,11 @@
 """The examination of a run record, alone or with its certificate and its subject file: everything in them is derived again.
 
-The files may be an enemy's. :mod:`pytest_otmcp.cli.confined` runs this in a process with bounded memory and time.
+The files may be hostile. :mod:`pytest_otmcp.cli.confined` runs this in a process with bounded memory and time.
 """
 
 from __future__ import annotations
 
 import base64
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
@@ -24,9 +23,13 @@ from ..record.consistency import clock_faults, header_faults, settings_faults
 from ..record.reader import RecordError, StoredRun, open_record
 from ..record.schema import Kit, Run
 from ..replay.rejudge import rejudge
+from ..report.verdict_file import verdict
 from ..subject import comparison, load_subject
 from ..subject.model import Deviation
 from ..suite.catalogue import KIT, identity, kit_digest, suite_digest, tasks_by_id
+from ..suite.levels import in_words, standings
+from ..suite.requirements import catalogue
+from ..suite.spoken import spoken, tell
 from ..trial.task import Task
 from . import Refusal, cut
 
@@ -50,10 +53,12 @@ class Examined:
     Attributes:
         said: what was found, a sentence each.
         code: exit code of the verdict.
+        run: what a program reads of the run, see :func:`pytest_otmcp.report.verdict_file.verdict`.
     """
 
     said: list[str]
     code: int
+    run: dict[str, Any]
 
 
 def answer(asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -62,7 +67,7 @@ def answer(asked: Mapping[str, Any]) -> dict[str, Any]:
     read = None if told is None else Certificate(name=told["name"], content=base64.b64decode(told["content"]))
     subject = None if asked["subject"] is None else Path(asked["subject"])
     found = examine(Path(asked["record"]), certificate=read, subject=subject, challenge=asked["challenge"])
-    return {"said": found.said, "code": found.code}
+    return {"said": found.said, "code": found.code, "run": found.run}
 
 
 def examine(
@@ -110,7 +115,7 @@ def _derived(
     if "digest" not in stored.footer:
         raise Refusal(f"refused: {path} was not sealed: {stored.footer['reason']}")
     run = condensed(stored)
-    tasks = tasks_by_id(run["subject"]["adapters"], run["settings"]["suites"])
+    tasks = tasks_by_id(run["subject"]["adapters"], run["settings"]["suites"], run["settings"].get("devices", ()))
     why_none = objections(run, tasks)
     if certified is not None:
         _refuse(f"{path} earns no certificate", why_none)
@@ -128,7 +133,7 @@ def _derived(
         read = load_subject(subject, run=False)
         _refuse(f"{path} is not about {subject}", list(comparison.differences(read, run["subject"])))
     _refuse(f"{path} was not judged as its history deserves", rejudge(stored))
-    said = list(_of_record(run, tasks, why_none) if certified is None else _of_certificate(run, tasks))
+    said = list(_said(run, why_none if certified is None else None))
     if subject is not None:
         said.append(f"the subject, its claims, deadlines and bindings are those of {subject}")
     if challenge is not None:
@@ -143,25 +148,19 @@ def _derived(
     if judges:
         said.append(f"judged by other packages than the kit, too: {', '.join(judges)}")
     statuses = {item["id"]: Status(item["status"]) for item in run["items"]}
-    return Examined(said=[cut(sentence) for sentence in said], code=int(exit_code(decide(statuses, tasks))))
+    code = int(exit_code(decide(statuses, tasks)))
+    return Examined(said=[cut(sentence) for sentence in said], code=code, run=verdict(run))
 
 
-def _of_certificate(run: Run, tasks: Mapping[str, Task]) -> Iterator[str]:
-    applied = [item for item in run["items"] if item["status"] == Status.PASS]
+def _said(run: Run, why_none: Sequence[str] | None) -> Iterator[str]:
+    """Say what was verified; ``why_none`` is None where the certificate is there."""
+    level = in_words(standings(catalogue(), run["items"], run["subject"]["adapters"]))
     yield (
-        f"verified: {_name(run)} is {run['footer']['verdict']}; {len(applied)} of {len(tasks)} items applied, "
+        f"verified: {_name(run)} is {run['footer'].get('verdict')}; {tell(spoken(run))}{', ' if level else ''}{level}; "
         f"{_repetitions(run)}, and judging them again found the same"
     )
-
-
-def _of_record(run: Run, tasks: Mapping[str, Task], why_none: Sequence[str]) -> Iterator[str]:
-    counts: Counter[str] = Counter(item["status"] for item in run["items"])
-    counts["did not run"] = len(tasks) - len(run["items"])
-    items = ", ".join(f"{number} {status}" for status, number in counts.items() if number)
-    yield (
-        f"verified: {_name(run)} is {run['footer'].get('verdict')}; of {len(tasks)} items {items}; {_repetitions(run)}, "
-        "and judging them again found the same"
-    )
+    if why_none is None:
+        return
     failed = [item["id"] for item in run["items"] if item["status"] not in (Status.PASS, Status.NOT_APPLICABLE)]
     if failed:
         yield f"did not pass: {', '.join(failed)}"

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import UsageError
-from . import add_json, show_json
+from . import add_json, show, show_json
 
 if TYPE_CHECKING:
     from ..suite.explanations import Explained
@@ -31,7 +31,9 @@ def add_parser(subparsers: Any) -> None:
         "(illegal_address) or the code of a finding (wrong_value) means: what is asked, what must be said and seen, why, and by "
         "which source.",
     )
-    asked = parser.add_argument("id", metavar="ID", nargs="+", help="an id as reports print it")
+    asked = parser.add_argument(
+        "id", metavar="ID", nargs="*", help="an id as reports print it; without one, list them all"
+    )
     # argcomplete asks an argument for its words by this attribute.
     asked.completer = _completed  # type: ignore[attr-defined]
     add_json(parser)
@@ -39,15 +41,15 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Explain every id.
+    """Explain every id that is asked for, or list all of them with a sentence each.
 
     Raises:
         UsageError: an id is unknown.
     """
-    from ..suite.explanations import explained, near
+    from ..suite.explanations import explained, identifiers, near
 
     found: list[Explained] = []
-    for identifier in args.id:
+    for identifier in args.id or identifiers():
         meanings = explained(identifier)
         if not meanings:
             hint = " or ".join(near(identifier))
@@ -64,6 +66,10 @@ def run(args: argparse.Namespace) -> int:
         show_json([{**asdict(one), "parts": dict(one.parts)} for one in found])
         return 0
     width = min(_WIDTH, shutil.get_terminal_size((_WIDTH, 0)).columns)
+    if not args.id:
+        for one in found:
+            show(f"{one.id:<24} {one.kind}: {one.about}")
+        return 0
     print("\n\n".join("\n".join(_lines(one, width)) for one in found))
     return 0
 

@@ -15,7 +15,7 @@ from ..core.files import read
 from ..core.library_registry import libraries
 from ..protocols.registry import protocols
 from ..subject.imports import libraries_used
-from . import Refusal, show, tell
+from . import Refusal, seconds, show, tell
 from .isolated import add_option, isolated
 
 if TYPE_CHECKING:
@@ -70,7 +70,9 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--url", help="its endpoint, when it serves streamable HTTP: http://127.0.0.1:{http_port}/mcp")
     add_option(parser)
-    parser.add_argument("--deadline", metavar="S", type=float, default=15.0, help="seconds for each call (default: 15)")
+    parser.add_argument(
+        "--deadline", metavar="S", type=seconds, default=15.0, help="seconds for each call (default: 15)"
+    )
     parser.add_argument("--out", metavar="FILE", type=Path, default=_DEFAULT, help="default: otmcp.toml")
     parser.add_argument("--force", action="store_true", help="replace FILE when it exists")
     parser.add_argument("command", metavar="COMMAND", nargs="+", help="how the adapter is started, after --")
@@ -113,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
 
     async def work(isolation: Isolation) -> Draft:
         device = MockDevice(protocols()[protocol].mock, protocol)
-        device.walls = isolation.walls()
+        device.walls = isolation.walls(cable=protocols()[protocol].cable)
         try:
             await device.launch()
             return await draft(adapter, pack, device, tell)

@@ -79,7 +79,11 @@ def write(out: Path, statement: dict[str, Any]) -> None:
             )
         for name, reason in facets["not_claimed"].items():
             tell(f"{protocol}: not claimed: {name} ({reason})")
-    show(f"{told['applied']['items']} of {told['applied']['of']} items applied")
+    show(
+        ", ".join(
+            f"{count['passed']} of {count['of']} {family} items passed" for family, count in told["items"].items()
+        )
+    )
     show(told["level"]["why"])
     for sentence in (*told["isolation"]["seen"], *told["isolation"]["missing"]):
         show(sentence)

@@ -13,7 +13,7 @@ from ..protocols.protocol import Simulator
 from ..protocols.registry import protocols
 from . import show
 
-__all__ = ["add_parser", "run"]
+__all__ = ["add_parser", "port", "run"]
 
 _OPTIONS: Mapping[str, tuple[str, str]] = {
     "host": ("ADDRESS", "address to serve on (default: 127.0.0.1)"),
@@ -31,7 +31,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("protocol", choices=tuple(_mocks()))
     for name, (metavar, text) in _options().items():
-        parser.add_argument(f"--{name}", metavar=metavar, help=text, type=_port if name == "port" else str)
+        parser.add_argument(f"--{name}", metavar=metavar, help=text, type=port if name == "port" else str)
     parser.set_defaults(run=run)
 
 
@@ -69,7 +69,8 @@ def _check(name: str, given: Mapping[str, str | int]) -> None:
             raise UsageError(f"the {name} mock needs --{option} {metavar}: {text}")
 
 
-def _port(text: str) -> int:
+def port(text: str) -> int:
+    """Read the number of a port, as the type of an option."""
     if not (text.isascii() and text.isdigit() and int(text) <= 65535):
         raise argparse.ArgumentTypeError(f"expected 0 to 65535, found {text!r}")
     return int(text)

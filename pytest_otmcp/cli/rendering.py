@@ -1,6 +1,6 @@
 """The reports of a run record, or the comparison of several, written below a directory.
 
-The records may be an enemy's. :mod:`pytest_otmcp.cli.confined` runs this in a process with bounded memory and time.
+The records may be hostile. :mod:`pytest_otmcp.cli.confined` runs this in a process with bounded memory and time.
 """
 
 from __future__ import annotations

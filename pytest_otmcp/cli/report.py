@@ -1,18 +1,20 @@
 """``otmcp report``: every report of a run record, written again without measuring; several records are compared.
 
-The records may be an enemy's: they are read, and the reports are made, in a process with bounded memory and time.
+The records may be hostile: they are read, and the reports are made, in a process with bounded memory and time.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.site import site
 from ..core.text import harmless
 from . import add_json, show, show_json
 
-__all__ = ["add_parser", "run"]
+__all__ = ["add_parser", "rendered", "run"]
 
 
 def add_parser(subparsers: Any) -> None:
@@ -38,21 +40,32 @@ def run(args: argparse.Namespace) -> int:
     """Have the reports written, and say where they are.
 
     Raises:
-        UsageError: there is no such file, or no such directory can be.
+        UsageError: there is no such file, no such directory can be, or the address of the documentation is none.
         Refusal: a file is no record that can be believed, or a report could not be made of it; the others were.
     """
-    from .confined import Bounds, confined
-    from .files import LARGEST_RECORD, size
-
+    # A wrong address of the documentation is told before the work.
+    site()
     records: list[Path] = args.records
-    bounds = Bounds.of(sum(size(path, LARGEST_RECORD) for path in records))
     given: Path | None = args.out
     directory = given if given is not None else Path() if records[1:] else records[0].parent
-    asked = {"records": list(map(str, records)), "directory": str(directory)}
-    found = confined("rendering", asked, bounds, " or ".join(asked["records"]) if records[1:] else str(records[0]))
+    found = rendered(records, directory)
     if args.json:
         show_json(found)
         return 0
     for sentence in found["said"]:
         show(harmless(sentence))
     return 0
+
+
+def rendered(records: Sequence[Path], directory: Path) -> dict[str, Any]:
+    """Have the reports of a record, or the comparison of several, written below a directory; return what there is to say as ``said``.
+
+    Raises:
+        UsageError, Refusal: those of :func:`run`.
+    """
+    from .confined import Bounds, confined
+    from .files import LARGEST_RECORD, size
+
+    bounds = Bounds.of(sum(size(path, LARGEST_RECORD) for path in records))
+    asked = {"records": list(map(str, records)), "directory": str(directory)}
+    return confined("rendering", asked, bounds, " or ".join(asked["records"]))

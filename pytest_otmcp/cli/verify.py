@@ -1,7 +1,7 @@
 """``otmcp verify``: a check that a certificate follows from its run, and the run's judgement from its history.
 
 The command refuses files that were edited or torn. It also refuses a valid record that another kit judged: only the kit that
-judged a history can judge it again. The files may be an enemy's: each is read once, they are examined in a process with bounded
+judged a history can judge it again. The files may be hostile: each is read once, they are examined in a process with bounded
 memory and time, and nothing of them is printed as it is.
 """
 
@@ -14,10 +14,10 @@ from typing import Any
 
 from ..core.errors import UsageError
 from ..core.text import harmless
-from . import show
+from . import add_json, show, show_json
 from .confined import CEILING_S
 
-__all__ = ["add_parser", "run"]
+__all__ = ["add_parser", "examination", "run"]
 
 _SIGNATURE = ".sig"
 
@@ -59,6 +59,7 @@ def add_parser(subparsers: Any) -> None:
         default=CEILING_S,
         help="processor time for one of the largest records, above some 60 MB (default: %(default)s)",
     )
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -84,20 +85,25 @@ def run(args: argparse.Namespace) -> int:
         signed_by = signer(
             certificate, content(_beside(args.certificate), LARGEST_CERTIFICATE), args.trust, args.revoked
         )
-    asked = {
-        "record": str(args.record),
-        "challenge": args.challenge,
-        "subject": None if args.subject is None else str(args.subject),
-        "certificate": None
-        if certificate is None
-        else {"name": str(args.certificate), "content": base64.b64encode(certificate).decode()},
-    }
+    asked = examination(args.record, None if certificate is None else (args.certificate, certificate))
+    asked |= {"challenge": args.challenge, "subject": None if args.subject is None else str(args.subject)}
     found = confined("examination", asked, bounds, str(args.record))
-    for sentence in found["said"]:
-        show(harmless(sentence))
     if certificate is not None:
-        show(harmless(_about_signature(args.certificate, signed_by, args.trust)))
+        found["said"].append(_about_signature(args.certificate, signed_by, args.trust))
+    if args.json:
+        show_json({**found["run"], "signed_by": signed_by, "said": found["said"]})
+    else:
+        for sentence in found["said"]:
+            show(harmless(sentence))
     return int(found["code"])
+
+
+def examination(record: Path, certificate: tuple[Path, bytes] | None) -> dict[str, Any]:
+    """Return what :mod:`pytest_otmcp.cli.examination` is asked about a record, and a certificate with its content."""
+    told = None
+    if certificate is not None:
+        told = {"name": str(certificate[0]), "content": base64.b64encode(certificate[1]).decode()}
+    return {"record": str(record), "challenge": None, "subject": None, "certificate": told}
 
 
 def _about_signature(certificate: Path, signed_by: str | None, trust: Path | None) -> str:

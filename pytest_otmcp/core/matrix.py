@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["BENCHMARK", "CROSS_PROTOCOL", "REQUIREMENTS", "SUITES", "WARMED_UP", "repetitions"]
+__all__ = ["BENCHMARK", "CROSS_PROTOCOL", "FIELD", "KNOWN_SUITES", "REQUIREMENTS", "SUITES", "WARMED_UP", "repetitions"]
 
 BENCHMARK = ("normal", "fault", "stress", "recovery")
 """The paper's suites in the order in which they run: what a run has when no suite is asked for."""
@@ -11,7 +11,13 @@ REQUIREMENTS = "requirements"
 """The suite with a check for each row of the requirement catalogue and each protocol."""
 
 SUITES = (*BENCHMARK, REQUIREMENTS)
-"""Every suite, in the order in which they run."""
+"""Every suite that is asked for by its name, in the order in which they run."""
+
+FIELD = "field"
+"""The suite of what can be judged at a real device: what a run has that names one. Each of its items has one repetition."""
+
+KNOWN_SUITES = (*SUITES, FIELD)
+"""Every suite that items may be of, in the order of tables."""
 
 WARMED_UP = ("normal", "fault")
 """Suites whose items begin with one unmeasured repetition, so that no first-time cost is counted as the adapter's."""

@@ -51,7 +51,7 @@ _READS = frozenset(
 _JOINS = frozenset("and then or".split())
 
 _FOREIGN = re.compile(
-    r"(?<![a-z0-9])(ethercat|sdo|pdo|profinet|canopen|knx|iec104"
+    r"(?<![a-z0-9])(canopen|knx|iec104"
     r"|mtconnect|mc|melsec|slmp|fins|hart|twincat)"
     r"(?![a-z0-9])",
     re.IGNORECASE,

@@ -54,6 +54,8 @@ class Device(Protocol):
         accepting_ns: monotonic time since which it serves. A TCP port accepts connections then. A UDP port or a pseudo
             terminal accepts nothing; there it is the time at which the device said that it reads its telegrams.
         sessions: the sessions of adapters that it is there for; its journal says of each entry whose it is.
+        credentials: what an adapter needs to reach it where it speaks the secure form of its protocol, as PEM: ``ca``, ``cert``, ``key``;
+            empty where it does not.
         walls: around its adapters, or None for none; its endpoints are where they lead. They are set before it is launched.
     """
 
@@ -61,6 +63,7 @@ class Device(Protocol):
     faulty: bool
     accepting_ns: int
     sessions: Sessions
+    credentials: Mapping[str, bytes]
     walls: Walls | None
 
     @property

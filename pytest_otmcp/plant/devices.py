@@ -6,9 +6,14 @@ import asyncio
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 
+from ..core.walls import OFF
+from ..protocols.external import BROKER, external_devices
+from ..protocols.field import Consent
+from ..protocols.protocol import LAUNCHES, SECURE
 from ..protocols.registry import protocols
 from ..session.isolation import Isolation
 from .device import Device
+from .field_device import UnrestoredError
 from .mock_device import MockDevice
 
 __all__ = ["Plant"]
@@ -21,6 +26,7 @@ class Plant:
         external: protocol to the URL of a device of the user's own, used behind the kit's tap instead of the mock.
         isolation: of the adapters, or None for none.
         outside: protocol to the reason why its adapter needs the network of the machine; empty where it does not.
+        consents: protocol to what may be written to its real device.
     """
 
     def __init__(
@@ -28,8 +34,11 @@ class Plant:
         external: Mapping[str, str] | None = None,
         isolation: Isolation | None = None,
         outside: Mapping[str, str] | None = None,
+        consents: Mapping[str, Consent] | None = None,
     ) -> None:
+        self._consents = dict(consents or {})
         self._isolation = isolation
+        self._own: Isolation | None = None
         self._outside = dict(outside or {})
         self._external = dict(external or {})
         self._devices: dict[str, Device] = {}
@@ -42,23 +51,29 @@ class Plant:
 
     def _launch(self, name: str) -> None:
         if name not in self._devices:
-            key = name.partition("@")[0]
-            device = self._new(key)
-            if self._isolation is not None:
-                device.walls = self._isolation.walls(outside=self._why_outside(key))
+            key, _, variant = name.partition("@")
+            device = self._new(key, secure=variant == LAUNCHES[SECURE])
+            cable = protocols()[key].cable
+            if cable and self._isolation is None:
+                self._isolation = self._own = Isolation(OFF)
+            if self._isolation is not None and (cable or self._own is None):
+                device.walls = self._isolation.walls(outside=self._why_outside(key), cable=cable)
             self._devices[name] = device
             self._launches[name] = asyncio.create_task(device.launch())
 
-    def _new(self, key: str) -> Device:
+    def _new(self, key: str, *, secure: bool) -> Device:
         protocol = protocols()[key]
-        if key not in self._external or protocol.external is None:
-            return MockDevice(protocol.mock, key)
+        # Of a device of the user's own nobody could have another certificate.
+        if secure or key not in self._external or protocol.external is None:
+            return MockDevice(protocol.mock, key, secure=secure)
         module, _, name = protocol.external.implementation.partition(":")
-        device: Device = getattr(import_module(module), name)(self._external[key])
+        # A kind of device that takes no consent has none.
+        consent = [self._consents[key]] if key in self._consents else []
+        device: Device = getattr(import_module(module), name)(self._external[key], *consent)
         return device
 
     def _why_outside(self, key: str) -> str:
-        if key in self._external:
+        if key in self._external and external_devices()[key].option == BROKER:
             return f"the device for {protocols()[key].name} is {self._external[key]}"
         return f"{protocols()[key].name}: {why}" if (why := self._outside.get(key)) else ""
 
@@ -74,8 +89,18 @@ class Plant:
         return self._devices[name]
 
     async def close(self) -> None:
-        """End every device."""
+        """End every device.
+
+        Raises:
+            UnrestoredError: a real device did not get its old values back.
+        """
         await asyncio.gather(*self._launches.values(), return_exceptions=True)
-        await asyncio.gather(*(device.close() for device in self._devices.values()), return_exceptions=True)
+        ended = await asyncio.gather(*(device.close() for device in self._devices.values()), return_exceptions=True)
         self._devices.clear()
         self._launches.clear()
+        if self._own is not None:
+            self._own.close()
+            self._isolation = self._own = None
+        for problem in ended:
+            if isinstance(problem, UnrestoredError):
+                raise problem

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ..core.errors import ExhaustedError
+from ..record.schema import Endpoint as EndpointFacts
 
 __all__ = ["Endpoint", "check_free", "endpoint_values", "first_port", "occupied"]
 
@@ -19,28 +20,46 @@ class Endpoint:
     Attributes:
         name: unique within the device, in the protocol's words; not ``http`` or ``local``, because ``{http_port}`` and ``{local_port}``
             in a subject file are ports of the adapter.
-        kind: a TCP port, a UDP port, or a pseudo terminal in the place of a serial line.
-        host, port: of a port; empty and 0 for a pseudo terminal.
-        path: of a pseudo terminal; empty for a port.
+        kind: a TCP port, a UDP port, a pseudo terminal in the place of a serial line, or a cable of Ethernet.
+        host, port: of a port; empty and 0 for a pseudo terminal. A cable has the device's address, and no port.
+        path: of a pseudo terminal, or the name of the interface that adapters have at a cable; empty for a port.
+        mac: hardware address of the device on a cable; else empty.
+        join: number of a process in the network of a cable; else 0.
     """
 
     name: str
-    kind: Literal["tcp", "udp", "pty"]
+    kind: Literal["tcp", "udp", "pty", "cable"]
     host: str = ""
     port: int = 0
     path: str = ""
+    mac: str = ""
+    join: int = 0
+
+    def facts(self) -> EndpointFacts:
+        """Return what ``run.json`` says about it."""
+        told: EndpointFacts = {
+            "name": self.name,
+            "kind": self.kind,
+            "host": self.host,
+            "port": self.port,
+            "path": self.path,
+        }
+        if self.mac:
+            told["mac"] = self.mac
+        return told
 
 
 def first_port(endpoints: Mapping[str, Endpoint]) -> Endpoint | None:
     """Return the first endpoint that is a TCP or UDP port; None if there is none."""
-    return next((endpoint for endpoint in endpoints.values() if endpoint.kind != "pty"), None)
+    return next((endpoint for endpoint in endpoints.values() if endpoint.port), None)
 
 
 def endpoint_values(scheme: str, endpoints: Mapping[str, Endpoint]) -> dict[str, str]:
     """Return the placeholders of a subject file that stand for a device's endpoints, each with its value.
 
     ``host``, ``port`` and ``url`` are those of its first port, ``NAME_port`` is any further port, ``serial`` is the path of its
-    first pseudo terminal, which is also the ``url`` of a device without a port.
+    first pseudo terminal, which is also the ``url`` of a device without a port. ``interface`` is the adapter's end of a cable,
+    ``device_mac`` and ``device_ip`` are the addresses at the other end.
 
     Args:
         scheme: of the URL.
@@ -55,7 +74,10 @@ def endpoint_values(scheme: str, endpoints: Mapping[str, Endpoint]) -> dict[str,
         values = {"url": f"{scheme}://{lines[0]}"}
     if lines:
         values["serial"] = lines[0]
-    further = (endpoint for endpoint in endpoints.values() if endpoint.kind != "pty" and endpoint is not main)
+    for cable in (endpoint for endpoint in endpoints.values() if endpoint.kind == "cable"):
+        values |= {"interface": cable.path, "device_mac": cable.mac, "device_ip": cable.host}
+        values.setdefault("url", f"{scheme}:///{cable.path}")
+    further = (endpoint for endpoint in endpoints.values() if endpoint.port and endpoint is not main)
     return values | {f"{endpoint.name}_port": str(endpoint.port) for endpoint in further}
 
 

@@ -27,7 +27,7 @@ _CAPACITY = 200_000
 _MOST_ANSWERABLE = 65_536
 """Records of a mock that can still be answered, as :mod:`~pytest_otmcp.protocols.conversation` has it."""
 
-_NO_MESSAGES = frozenset({"CONNECTED", "DISCONNECTED", "malformed", "lost"})
+_NO_MESSAGES = frozenset({"CONNECTED", "DISCONNECTED", "malformed", "lost", "tls_ended"})
 
 Origin = Literal["client", "plant", "kit"]
 
@@ -123,9 +123,11 @@ class DeviceJournal:
 
     # -- of a tap -----------------------------------------------------------------------------------------
 
-    def frame(self, connection: int, direction: Direction, frame: bytes, fault: str | None) -> None:
-        """Record one frame that passes now; ``fault`` is what the tap does to it."""
-        self._frames.append((time.monotonic_ns(), connection, direction, frame, fault))
+    def frame(
+        self, connection: int, direction: Direction, frame: bytes, fault: str | None, passed_ns: int | None = None
+    ) -> None:
+        """Record one frame that passes now, or passed at ``passed_ns`` of the monotonic clock; ``fault`` is what the tap does to it."""
+        self._frames.append((passed_ns or time.monotonic_ns(), connection, direction, frame, fault))
         self._news.set()
 
     def event(

@@ -13,8 +13,10 @@ import itertools
 import json
 import signal
 import sys
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from ..core.errors import ExhaustedError, KitError, MeddledError, SubjectError
@@ -24,6 +26,7 @@ from ..protocols.registry import protocols
 from ..session.isolation import Walls
 from ..session.process import subject_environment
 from ..session.starvation import Patience, finish_within
+from . import pki
 from .device import Journal, check_kept
 from .endpoint import Endpoint, first_port, occupied
 from .journal import DeviceJournal
@@ -110,8 +113,10 @@ class MockDevice:
     Args:
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a built-in one, or the dotted name of a package.
         protocol: key of its protocol, for sentences; the name of a built-in mock is the key of its protocol.
+        secure: it speaks the secure form of its protocol, with certificates made for it alone.
 
     Attributes:
+        credentials: see :class:`~pytest_otmcp.plant.device.Device`.
         endpoints: see :class:`~pytest_otmcp.plant.device.Device`.
         running: True while it serves.
         faulty: see :class:`~pytest_otmcp.plant.device.Device`.
@@ -119,9 +124,14 @@ class MockDevice:
         sessions, walls: see :class:`~pytest_otmcp.plant.device.Device`.
     """
 
-    def __init__(self, mock: str, protocol: str | None = None) -> None:
+    def __init__(self, mock: str, protocol: str | None = None, *, secure: bool = False) -> None:
         self._mock = mock
         self._name = protocol or mock
+        self._certificates: tempfile.TemporaryDirectory[str] | None = None
+        self.credentials: Mapping[str, bytes] = {}
+        if secure:
+            self._certificates = tempfile.TemporaryDirectory(prefix="otmcp-")
+            self.credentials = pki.make(Path(self._certificates.name), protocols()[self._name].application)
         self._launcher: asyncio.subprocess.Process | None = None
         self._control: _Control | None = None
         self._stderr: asyncio.Task[bytes] | None = None
@@ -159,10 +169,17 @@ class MockDevice:
         # A module of the working directory must not replace one that the mock imports.
         command = [sys.executable, "-P", "-m", "pytest_otmcp.mocks"]
         namespaces: tuple[int, ...] = ()
+        described = protocols().get(self._name)
+        if described is not None and described.cable and (self.walls is None or not self.walls.network):
+            raise KitError(
+                f"the {self._name} mock needs a cable, and this machine refuses a network for it: see docs/isolation.md"
+            )
         if self.walls is not None and self.walls.network:
             namespaces = self.walls.isolation.namespaces()
             command.append(f"--within={','.join(map(str, namespaces))}")
         command.append(self._mock)
+        if self._certificates is not None:
+            command.append(f"--tls={self._certificates.name}")
         try:
             self._launcher = await asyncio.create_subprocess_exec(
                 *command,
@@ -293,6 +310,8 @@ class MockDevice:
 
     async def close(self) -> None:
         """End launcher and device."""
+        if self._certificates is not None:
+            self._certificates.cleanup()
         if self._control is not None:
             await self._control.close()
             self._control = None

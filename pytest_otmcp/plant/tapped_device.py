@@ -17,6 +17,7 @@ from .device import Journal, check_kept
 from .endpoint import Endpoint, check_free
 from .owners import Sessions
 from .tap.faults import Action, FaultRule
+from .tap.medium import Gate, Rewrite
 from .tap.tap import Tap, new_tap
 
 __all__ = ["TappedDevice"]
@@ -31,6 +32,8 @@ class TappedDevice:
         noun: name of the device in sentences, with its address, such as ``broker mqtt://10.0.0.1``.
         target: its endpoint.
         framing: how to cut and decode what passes.
+        gate: decides which frames reach the device; None lets everything through.
+        rewrite: makes of the frames of the device what the adapter gets; None leaves them as they are.
 
     Attributes:
         tap: the tap, for fault rules.
@@ -38,18 +41,26 @@ class TappedDevice:
         running: True while the tap hands on what comes.
         faulty: True while the tap delays what passes.
         accepting_ns: monotonic time since which it does.
-        walls: see :class:`~pytest_otmcp.plant.device.Device`.
+        credentials, walls: see :class:`~pytest_otmcp.plant.device.Device`.
     """
 
-    def __init__(self, noun: str, target: Endpoint, framing: Framing) -> None:
+    def __init__(
+        self,
+        noun: str,
+        target: Endpoint,
+        framing: Framing,
+        gate: Gate | None = None,
+        rewrite: Rewrite | None = None,
+    ) -> None:
         self.noun = noun
-        self.tap: Tap = new_tap(target, framing)
+        self.tap: Tap = new_tap(target, framing, gate, rewrite)
         self._target = target
         self.endpoints: Mapping[str, Endpoint] = {}
         self.running = False
         self.faulty = False
         self.accepting_ns = 0
         self.sessions = Sessions()
+        self.credentials: Mapping[str, bytes] = {}
         self.walls: Walls | None = None
 
     @property
@@ -78,6 +89,9 @@ class TappedDevice:
             KitError: the device is not there.
         """
         await self.check()
+        if self.walls is not None and self.walls.network:
+            # The tap is where its adapters are, and the device is not.
+            self.tap.new_socket = self.walls.socket
         await self.tap.start()
         target = self._target
         self.endpoints = {

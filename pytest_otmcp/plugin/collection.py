@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from ..core.errors import UsageError
-from ..core.matrix import BENCHMARK, REQUIREMENTS
+from ..core.matrix import BENCHMARK, FIELD, REQUIREMENTS
 
 if TYPE_CHECKING:
     from ..trial.task import Task
@@ -111,7 +111,7 @@ def is_needed(path: Path, suites: Collection[str]) -> bool:
     """
     if path.suffix != ".py":
         return True
-    about = {REQUIREMENTS} if path.name == _REQUIREMENTS_MODULE else {*BENCHMARK}
+    about = {REQUIREMENTS: {REQUIREMENTS}, FIELD: {FIELD}}.get(path.stem.removeprefix("test_"), {*BENCHMARK})
     return not about.isdisjoint(suites)
 
 
@@ -147,6 +147,8 @@ def is_shipped_id(config: pytest.Config, identifier: str) -> bool:
     """
     file = identifier.partition("::")[0]
     places = [config.rootpath, *(_path(config, argument) for argument in map(str, config.args))]
+    if SUITE in config.args:
+        places.append(suite_root())
     return any(is_shipped(place / file) for place in places)
 
 

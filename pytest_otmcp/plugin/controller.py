@@ -26,7 +26,7 @@ from ..core.exhaustion import exhausted
 from ..core.text import counted, recorded_name
 from ..core.verdict import DeviationReport, ExitCode, Status, Verdict, decide, exit_code, judge_deviations
 from ..core.walls import Wall
-from ..protocols.external import external_devices
+from ..protocols.external import DEVICE, external_devices
 from ..protocols.registry import protocols
 from ..record.schema import ROLES, SCHEMA
 from ..suite.catalogue import KIT, identity, kit_digest, suite_digest
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .options import RunSettings
     from .results import ItemResult, Measured, WorkerFacts
 
-__all__ = ["RunRecorder"]
+__all__ = ["RunRecorder", "clear_unowned"]
 
 _PACKAGES = ("mcp", "pytest", "pytest-xdist")
 """Distributions whose versions a record states, beside those that the protocols name."""
@@ -81,6 +81,8 @@ class RunRecorder:
         workers: int,
         begun: float,
     ) -> None:
+        from ..report.render import clear
+
         self.settings = settings
         self.required = required
         self.statuses: dict[str, Status] = {}
@@ -100,6 +102,7 @@ class RunRecorder:
         _clear(settings.report_dir / SPOOLS)
         # A deviation that no item can have is reported now, not after the run.
         judge_deviations(selection.subject.deviations, {}, required, self._started.date())
+        clear(settings.report_dir)
 
     @property
     def path(self) -> Path:
@@ -255,7 +258,9 @@ class RunRecorder:
                     **{
                         device.option: settings.external.get(protocol, "embedded")
                         for protocol, device in external_devices().items()
+                        if device.option != DEVICE
                     },
+                    **({"devices": settings.devices} if settings.devices else {}),
                     # The same list until the end, so that the finished record has what is noted during the run.
                     "narrowed": self._narrowed,
                 },
@@ -286,6 +291,17 @@ def _own(directory: Path) -> int:
             f"--otmcp-report-dir: another run is writing to {directory}; wait for its end, or choose another directory"
         ) from None
     return descriptor
+
+
+def clear_unowned(directory: Path) -> None:
+    """Remove record and reports of an earlier run, unless another run is writing there."""
+    from ..report.render import clear
+
+    if directory.is_dir():
+        with suppress(UsageError):
+            descriptor = _own(directory)
+            clear(directory)
+            os.close(descriptor)
 
 
 def _clear(spools: Path) -> None:

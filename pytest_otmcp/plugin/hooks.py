@@ -19,7 +19,7 @@ from _pytest.junitxml import xml_key
 
 from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
-from ..core.matrix import REQUIREMENTS, SUITES
+from ..core.matrix import KNOWN_SUITES, REQUIREMENTS
 from ..core.text import MARK, marked, one_line
 from ..core.verdict import ExitCode
 from ..protocols.own import OWN
@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from ..trial.task import Task
     from .controller import RunRecorder
     from .endings import Endings
+    from .worker import Run
 
 __all__ = [
     "_otmcp_trial",
@@ -112,7 +113,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[STARTED] = time.monotonic()
     config.addinivalue_line("markers", "otmcp: a conformance item of pytest-otmcp")
-    for suite in SUITES:
+    for suite in KNOWN_SUITES:
         config.addinivalue_line("markers", f"otmcp_{suite}: an item of the {suite} suite")
     for protocol in protocol_keys():
         config.addinivalue_line("markers", f"otmcp_{protocol}: an item on this protocol alone")
@@ -126,6 +127,12 @@ def pytest_configure(config: pytest.Config) -> None:
         config.stash[BASELINE] = None if _is_worker(config) else _read_baseline(settings.baseline)
     except UsageError as error:
         refuse(error)
+    if config.stash[SETTINGS].devices and (_is_worker(config) or config.getoption("dist", "no") != "no"):
+        refuse(
+            UsageError(
+                "--otmcp-device: a real device is used by one process at a time; leave out what starts pytest-xdist (-n, --dist)"
+            )
+        )
     default_to_suite(config)
     if asks_for_suite(config) and getattr(config.option, "maxschedchunk", 1) is None:
         # pytest-xdist hands out a quarter of a worker's share at once; the longest items would be one worker's.
@@ -158,12 +165,17 @@ def pytest_sessionstart(session: pytest.Session) -> Generator[None]:
         return (yield)
     except KeyboardInterrupt:
         # pytest has no summary of a session that did not start, and pytest-xdist takes its time to start one.
-        _tell_unstarted(config.pluginmanager.get_plugin("terminalreporter"))
+        _end_unstarted(config)
         raise
 
 
-def _tell_unstarted(terminal: Any) -> None:
-    """Print the verdict of a run that was interrupted before its items were known."""
+def _end_unstarted(config: pytest.Config) -> None:
+    """Print the verdict of a run that was interrupted before its items were known, and remove what an earlier run has left: somebody
+    might take it for this one's."""
+    from .controller import clear_unowned
+
+    clear_unowned(config.stash[SETTINGS].report_dir)
+    terminal = config.pluginmanager.get_plugin("terminalreporter")
     if terminal is not None:
         terminal.write_line("VERDICT: INCOMPLETE (interrupted before the items were collected)", red=True, bold=True)
 
@@ -304,6 +316,7 @@ def _begin_recording(config: pytest.Config, selection: Selection, tasks: list[Ta
     from ..session.keeper import hide_memory
     from ..subject.tested import programs
     from ..suite.catalogue import kit_digest
+    from ..trial.applicability import applicability
     from .controller import RunRecorder
     from .interference import Interference
     from .progress import Progress
@@ -333,7 +346,14 @@ def _begin_recording(config: pytest.Config, selection: Selection, tasks: list[Ta
             kit_digest.__wrapped__,
         )
     config.add_cleanup(config.stash[RECORDER].close)
-    config.stash[PROGRESS] = Progress(config, tasks, settings.repetitions, workers=workers)
+    adapters = selection.subject.adapters
+    config.stash[PROGRESS] = Progress(
+        config,
+        tasks,
+        settings.repetitions,
+        inapplicable=[task.id for task in tasks if applicability(task, adapters) is not None],
+        workers=workers,
+    )
 
 
 def _endings(config: pytest.Config) -> Endings:
@@ -414,6 +434,17 @@ class _ResultReceiver:
         self._config = config
         self._failed: list[Any] = []
 
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """Write the name of a suite where pytest would write the path of its file."""
+        config = self._config
+        terminal: Any = config.pluginmanager.get_plugin("terminalreporter")
+        if terminal is not None and PROGRESS in config.stash:
+            suite = Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
+            headed = is_shipped_id(config, nodeid) and config.stash[PROGRESS].show_suite(suite)
+            # None is pytest's own choice.
+            terminal.showfspath = False if headed else None
+
     @pytest.hookimpl(trylast=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         content = getattr(report, _RESULT, None)
@@ -474,6 +505,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     run = config.stash.get(RUN, None)
     recorder = config.stash.get(RECORDER, None)
     interference = config.stash.get(INTERFERENCE, None)
+    unrestored = None
     with ignore_warnings():
         if run is not None:
             if recorder is not None and run.unfinished is not None:
@@ -482,7 +514,9 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
             facts = run.facts()
             if recorder is None and run.unfinished is not None and hasattr(config, "workeroutput"):
                 config.workeroutput[UNFINISHED] = json.dumps([run.unfinished, facts])
-            run.close()
+            unrestored = _close(run)
+            if unrestored is not None and interference is not None:
+                interference.note(unrestored)
         if interference is None:
             return
         interference.finish()
@@ -497,25 +531,37 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         interference.note(*config.stash[SURROUNDINGS].changes())
         with _writable(recorder):
             recorder.finish(interrupted=_interruption(exitstatus, endings))
-    session.exitstatus = _exit_status(exitstatus, recorder, session.testsfailed)
+    session.exitstatus = (
+        _exit_status(exitstatus, recorder, session.testsfailed) if unrestored is None else ExitCode.INDETERMINATE
+    )
     with ignore_warnings():
         _tell_junit(config, recorder)
 
 
+def _close(run: Run) -> str | None:
+    """End a run's sessions and devices; return what a real device did not get back, a sentence, or None."""
+    from ..core.errors import KitError
+
+    try:
+        run.close()
+    except KitError as error:
+        return str(error)
+    return None
+
+
 def _tell_junit(config: pytest.Config, recorder: RunRecorder) -> None:
-    """Give a JUnit file the verdict, and the level of each protocol of a run with the requirement suite."""
+    """Give a JUnit file what the run as a whole says."""
     file = config.stash.get(xml_key, None)
     if file is None or not recorder.statuses:
         return
     from ..record.condensed import condensed
     from ..record.reader import open_record
-    from ..report.verdict_file import levels
+    from ..report.verdict_file import properties
 
     with open_record(recorder.path, allow_incomplete=True) as stored:
         run = condensed(stored)
-    file.add_global_property("otmcp_verdict", str(recorder.verdict))
-    for protocol, level in levels(run).items():
-        file.add_global_property(f"otmcp_level_{protocol}", level or "none")
+    for name, value in properties(run).items():
+        file.add_global_property(name, value)
 
 
 def _take_from_workers(config: pytest.Config, recorder: RunRecorder, nodes: list[Any]) -> None:
@@ -584,7 +630,7 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
     refused = exitstatus == pytest.ExitCode.INTERRUPTED and not interrupted
     if recorder is None:
         if interrupted and asks_for_suite(config):
-            _tell_unstarted(terminalreporter)
+            _end_unstarted(config)
         return
     if refused and not recorder.statuses:
         return
@@ -595,8 +641,6 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
             terminalreporter.write_line(one_line(f"note: {sentence}"))
         reason = "interrupted before the first item" if interrupted else "no item of the suite ran"
         terminalreporter.write_line(f"VERDICT: {recorder.verdict} ({reason})", red=True, bold=True)
-        if recorder.path.exists():
-            terminalreporter.write_line(f"{recorder.path} and the reports beside it are of an earlier run")
         return
     from ..report.render import render
 

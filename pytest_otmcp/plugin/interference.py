@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from ..core.matrix import BENCHMARK
-from ..protocols.external import external_devices
+from ..protocols.external import DEVICE, external_devices
 from .collection import is_shipped, task_of
 from .options import RunSettings
 
@@ -217,18 +217,19 @@ class Interference:
 
 
 def _describe_settings(settings: RunSettings) -> Iterator[str]:
-    if not {*BENCHMARK} <= {*settings.suites}:
+    if not {*BENCHMARK} <= {*settings.suites} and not settings.devices:
         asked = (
             f"suites {', '.join(settings.suites)} were"
             if len(settings.suites) > 1
             else f"suite {settings.suites[0]} was"
         )
-        yield f"only the {asked} asked for (--otmcp-suite)"
+        yield f"only the {asked} asked for (--otmcp-{'only' if settings.only else 'suite'})"
     if settings.time_scale != 1:
         yield f"deadlines and windows were multiplied by {settings.time_scale:g} (--otmcp-time-scale)"
     for protocol, url in settings.external.items():
         device = external_devices()[protocol]
-        yield f"the {device.noun} was {url}, which cannot be asked what it holds (--otmcp-{device.option})"
+        what = "a real one" if device.option == DEVICE else "which cannot be asked what it holds"
+        yield f"the {device.noun} was {url}, {what} (--otmcp-{device.option})"
 
 
 def _find_own_plugins(config: pytest.Config, hook: Any) -> Iterator[str]:

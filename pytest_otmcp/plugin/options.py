@@ -5,7 +5,9 @@ The module imports nothing heavy: every pytest run in an environment with the pl
 
 from __future__ import annotations
 
+import datetime
 import difflib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,13 +15,15 @@ from urllib.parse import urlsplit
 
 from ..core.challenge import NONCE, is_nonce, seed_of
 from ..core.errors import UsageError
-from ..core.matrix import BENCHMARK, REQUIREMENTS, SUITES, repetitions
+from ..core.matrix import BENCHMARK, FIELD, REQUIREMENTS, SUITES, repetitions
+from ..core.site import site
 from ..core.walls import AUTO, MODES
-from ..protocols.external import ExternalDevice, external_devices
+from ..protocols.external import BROKER, DEVICE, ExternalDevice, external_devices, in_url
 
 if TYPE_CHECKING:
     import pytest
 
+    from ..protocols.field import Consent
     from ..trial.task import Task
 
 __all__ = ["DEFAULT_REPS", "RunSettings", "add_options", "read_settings"]
@@ -55,8 +59,18 @@ _OPTIONS = {
         "X",
         "factor on deadlines and windows, for slow machines; quiet windows are never shortened (default 1)",
     ),
-    **{device.option: ("URL", device.meaning) for device in external_devices().values()},
+    **{
+        device.option: ("URL", f"external {device.noun}, {device.scheme}://host:port, instead of the embedded one")
+        for device in external_devices().values()
+        if device.option == BROKER
+    },
+    "consent": (
+        "FILE",
+        "what a person allows to be written to the real device; without it nothing is (docs/real-devices.md)",
+    ),
 }
+
+_DEVICE = "a real device, PROTOCOL=URL, read-only in the mock's place; may be given for several protocols"
 
 _SOAK = "the long forms of the checks that have one: thousands of calls, messages and faults (minutes)"
 
@@ -81,6 +95,7 @@ class RunSettings:
         time_scale: factor on deadlines and windows; windows in which nothing may happen are never shortened.
         soak: checks that have a long form take it.
         external: protocol to the URL of the user's device in the mock's place.
+        consents: protocol to what may be written to its real device.
     """
 
     reps: int
@@ -98,6 +113,16 @@ class RunSettings:
     time_scale: float
     soak: bool
     external: dict[str, str]
+    consents: Mapping[str, Consent]
+
+    @property
+    def devices(self) -> dict[str, dict[str, object]]:
+        """The real devices, by protocol, as a run record has them: the URL, and what may be written, or None."""
+        return {
+            key: {"url": url, "consent": self.consents[key].as_record() if key in self.consents else None}
+            for key, url in self.external.items()
+            if external_devices()[key].option == DEVICE
+        }
 
     def wants(self, task: Task) -> bool:
         """Tell whether suite and row of a task were asked for."""
@@ -112,6 +137,8 @@ def add_options(parser: pytest.Parser) -> None:
     for name, (metavar, text) in _OPTIONS.items():
         group.addoption(f"--otmcp-{name}", metavar=metavar, default=None, help=text)
         parser.addini(f"otmcp_{name.replace('-', '_')}", text, default=None)
+    group.addoption(f"--otmcp-{DEVICE}", metavar="PROTOCOL=URL", action="append", default=None, help=_DEVICE)
+    parser.addini(f"otmcp_{DEVICE}", _DEVICE, type="linelist", default=[])
     group.addoption("--otmcp-soak", action="store_true", default=False, help=_SOAK)
     parser.addini("otmcp_soak", _SOAK, type="bool", default=False)
 
@@ -124,7 +151,7 @@ def read_settings(config: pytest.Config) -> RunSettings:
     """Read and check the settings of this run.
 
     Raises:
-        UsageError: a value does not fit its option.
+        UsageError: a value does not fit its option, or its variable of the environment.
     """
 
     def text(name: str) -> str | None:
@@ -133,18 +160,28 @@ def read_settings(config: pytest.Config) -> RunSettings:
             value = config.getini(_destination(name)) or None
         return None if value is None else str(value)
 
+    site()  # Reports are written at the end: a wrong address is told now.
     only = _names(text("only"))
     challenge = text("challenge")
     if challenge is not None and not is_nonce(challenge):
         raise UsageError(f"--otmcp-challenge: expected {NONCE}, found {challenge[:40]!a}")
     if challenge is not None and text("seed") is not None:
         raise UsageError("--otmcp-seed: the seed follows from --otmcp-challenge; give one of the two")
+    named = config.getoption(_destination(DEVICE)) or config.getini(_destination(DEVICE))
+    external = _read_devices(named)
+    real, consent = bool(external), text("consent")
+    for protocol, device in external_devices().items():
+        if device.option == BROKER and (value := text(BROKER)) is not None:
+            external[protocol] = _check_url(BROKER, device, value)
     reps = _read_whole_number("reps", text("reps"), DEFAULT_REPS, minimum=1, maximum=100_000)
     return RunSettings(
         reps=reps,
         repetitions=repetitions(reps),
         subject=_find_subject(text("subject"), config.rootpath, config.invocation_params.dir),
-        suites=_read_suites(text("suite"), (REQUIREMENTS,) if only else BENCHMARK),
+        suites=(
+            *_read_suites(text("suite"), () if real else (REQUIREMENTS,) if only else BENCHMARK),
+            *[FIELD] * real,
+        ),
         only=only,
         protocols=_names(text("protocols")),
         baseline=_existing("baseline", text("baseline"), config.invocation_params.dir),
@@ -157,11 +194,8 @@ def read_settings(config: pytest.Config) -> RunSettings:
         isolation=_check_choice("isolation", text("isolation") or AUTO, MODES),
         time_scale=_read_factor(text("time-scale")),
         soak=config.getoption("otmcp_soak") or config.getini("otmcp_soak"),
-        external={
-            protocol: _check_url(device, value)
-            for protocol, device in external_devices().items()
-            if (value := text(device.option)) is not None
-        },
+        external=external,
+        consents={} if consent is None else _read_consents(config.invocation_params.dir / consent, named),
     )
 
 
@@ -232,12 +266,42 @@ def _resolve_report_dir(value: str | None, config: pytest.Config) -> Path:
     return path
 
 
-def _check_url(device: ExternalDevice, value: str) -> str:
+def _read_devices(named: Sequence[str]) -> dict[str, str]:
+    """Return the URLs of real devices by protocol."""
+    known = {key: device for key, device in external_devices().items() if device.option == DEVICE}
+    found: dict[str, str] = {}
+    for value in named:
+        key, _, url = value.partition("=")
+        if key not in known:
+            hint = f"; use --otmcp-{BROKER}" if key in external_devices() else ""
+            raise UsageError(f"--otmcp-{DEVICE}: real devices are taken for {', '.join(known)}, not for {key!r}{hint}")
+        if key in found:
+            raise UsageError(f"--otmcp-{DEVICE}: {key} has two devices; a run is about one")
+        found[key] = _check_url(DEVICE, known[key], url)
+    return found
+
+
+def _read_consents(path: Path, named: Sequence[str]) -> Mapping[str, Consent]:
+    from ..plant.consent import read_consent
+
+    consent = read_consent(path, datetime.date.today())
+    if consent.device not in named:
+        raise UsageError(
+            f"--otmcp-consent: {path}: it is for {consent.device}, and --otmcp-{DEVICE} names {', '.join(named) or 'none'}"
+        )
+    return {consent.device.partition("=")[0]: consent}
+
+
+def _check_url(option: str, device: ExternalDevice, value: str) -> str:
     try:
         parts = urlsplit(value)
         port = parts.port
     except ValueError as error:
-        raise UsageError(f"--otmcp-{device.option}: {value!r} is not a URL ({error})") from None
-    if parts.scheme != device.scheme or not parts.hostname or parts.path not in ("", "/"):
-        raise UsageError(f"--otmcp-{device.option}: expected {device.scheme}://host:port, found {value!r}")
-    return f"{device.scheme}://{parts.hostname}:{port or device.default_port}"
+        raise UsageError(f"--otmcp-{option}: {value!r} is not a URL ({error})") from None
+    # Where to read, behind the port of a real device.
+    place = parts.path.removeprefix("/")
+    fits = not place or (option == DEVICE and device.is_place(place))
+    strange = parts.username or parts.query or parts.fragment
+    if parts.scheme != device.scheme or not parts.hostname or port == 0 or strange or not fits:
+        raise UsageError(f"--otmcp-{option}: expected {device.scheme}://host:port, found {value!r}")
+    return f"{device.scheme}://{in_url(parts.hostname)}:{port or device.default_port}{place and '/' + place}"

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import time
+from collections import defaultdict
+from collections.abc import Collection
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +25,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Progress", "verbose_word"]
 
-# Rough seconds per repetition, to guess the remaining time; nothing better is known of items that have not run.
-_GUESS_S = {"normal": 0.02, "fault": 0.02, "stress": 0.12, "recovery": 1.3, "requirements": 1.0}
+# Seconds per repetition, until items of the suite have been measured here. A check's are the median of five records of the field report.
+_GUESS_S = {"normal": 0.02, "fault": 0.02, "stress": 0.12, "recovery": 1.3, "requirements": 3.0, "field": 1.0}
+_STARTS = ("plant start", "adapter starts")
 _LATE, _LATE_S = 3, 20.0
 """An item that takes so many times as long as was guessed, and so many seconds, is said to take longer than expected."""
 
@@ -39,12 +42,19 @@ class Progress:
 
     Args:
         tasks: tasks of all items to run.
+        inapplicable: ids of those that do not apply to the subject: they take no time and are not counted.
         repetitions: suite name to number of repetitions.
         workers: number of pytest-xdist workers, 0 for none; latencies of a parallel run are not shown.
     """
 
     def __init__(
-        self, config: pytest.Config, tasks: list[Task], repetitions: dict[str, int], *, workers: int = 0
+        self,
+        config: pytest.Config,
+        tasks: list[Task],
+        repetitions: dict[str, int],
+        *,
+        inapplicable: Collection[str] = (),
+        workers: int = 0,
     ) -> None:
         self._writer = config.get_terminal_writer()
         self._capture: Any = config.pluginmanager.getplugin("capturemanager")
@@ -52,8 +62,13 @@ class Progress:
         # Without colours, as with NO_COLOR, a terminal is still a terminal.
         terminal: Any = config.pluginmanager.getplugin("terminalreporter")
         self._moving = self._shown and bool(terminal.isatty) and os.environ.get("TERM") != "dumb"
-        self._guess = {task.id: _GUESS_S[task.suite] * repetitions[task.suite] for task in tasks}
-        self._total = len(tasks)
+        applying = [task for task in tasks if task.id not in inapplicable]
+        self._suites = {task.id: task.suite for task in applying}
+        self._guess = {task.id: _GUESS_S[task.suite] * repetitions.get(task.suite, 1) for task in applying}
+        self._total = len(applying)
+        # Of each suite the seconds that its finished items were guessed to take, and took: with set-up, controls and new sessions.
+        self._guessed, self._took = defaultdict[str, float](float), defaultdict[str, float](float)
+        self._workers = workers or 1
         self._id_width = max((len(task.id) for task in tasks), default=0)
         self._digits = len(str(max(repetitions.values())))
         self._timed = not workers
@@ -61,9 +76,22 @@ class Progress:
         self._drawn = 0.0
         self._line_open = False
         self._row_of_inapplicable = 0
-        self._suite = ""
+        self._suite = self._heading = ""
         if workers and self._shown:
             self._write(f"each of {counted(workers, 'worker')} starts devices and adapters of its own\n")
+
+    def show_suite(self, suite: str) -> bool:
+        """Show the name of the suite that begins, if it is another one; return whether this display has headings at all.
+
+        pytest's own is the path of the file, which is long where the kit is installed. With workers suites are mixed.
+        """
+        if not self._shown or not self._timed:
+            return False
+        if suite != self._heading:
+            self._heading = suite
+            self._begin_row()
+            self._write(f"{suite} suite")
+        return True
 
     def show_start(self, done: int, devices: int, adapters: int) -> None:
         """Show how many of the devices and adapters are running; where no line can move, only that they start."""
@@ -87,7 +115,7 @@ class Progress:
     def show_waiting(self, task: Task, seconds: float, words: str) -> None:
         """Show how long an item has been measured by now, and what it waits for."""
         if self._moving:
-            late = "" if seconds < max(_LATE * self._guess.get(task.id, 0.0), _LATE_S) else ", longer than expected"
+            late = "" if seconds < max(_LATE * self._expected(task.id), _LATE_S) else ", longer than expected"
             place = f"item {self._done + 1} of {self._total}"
             self._draw(f"  {task.id:<{self._id_width}} {seconds:.0f} s{late}, {words}   {place}")
 
@@ -104,14 +132,22 @@ class Progress:
             return self._writer.fullwidth - 1
 
     def _estimate_rest(self, task: Task, done: int, planned: int) -> str:
-        remaining = sum(self._guess.values()) - self._guess.get(task.id, 0.0) * done / planned
+        remaining = sum(map(self._expected, self._guess)) - self._expected(task.id) * done / planned
         minutes, seconds = divmod(round(remaining), 60)
         return f"about {minutes} min {seconds} s to go" if minutes else f"about {seconds} s to go"
 
+    def _expected(self, identifier: str) -> float:
+        """Return the seconds that an item is expected to take, by those of its suite that have ended."""
+        suite = self._suites.get(identifier, "")
+        rate = self._took[suite] / self._guessed[suite] if self._guessed[suite] else 1.0
+        return self._guess.get(identifier, 0.0) * rate
+
     def show_finished(self, item: ItemBody, measured: Measured) -> None:
         """Show the result of a finished item; those that do not apply share rows."""
-        self._guess.pop(item["id"], None)
-        self._done += 1
+        if (guess := self._guess.pop(item["id"], None)) is not None:
+            self._done += 1
+            self._guessed[item["suite"]] += guess
+            self._took[item["suite"]] += _took_s(item) / self._workers
         if not self._shown:
             return
         if item["status"] == "NOT_APPLICABLE":
@@ -163,6 +199,11 @@ class Progress:
     def _uncaptured(self) -> AbstractContextManager[None]:
         # pytest captures standard output for the running test; progress is written past the capture.
         return nullcontext() if self._capture is None else self._capture.global_and_fixture_disabled()
+
+
+def _took_s(item: ItemBody) -> float:
+    """Return the seconds that an item took, without the start of devices and adapters, which later items find running."""
+    return sum(ms for what, ms in item["timing_ms"].items() if what not in _STARTS) / 1e3
 
 
 def _title(item: ItemBody, measured: Measured) -> str:

@@ -52,19 +52,26 @@ def known_rows(asked: tuple[str, ...]) -> tuple[str, ...]:
 
 def select_adapters(config: pytest.Config) -> Selection:
     """Return the adapters of this run; a mistake in the subject file ends it."""
-    from ..subject.selection import select
+    from ..subject.selection import select, without_cable
 
     if SELECTION not in config.stash:
         settings = config.stash[SETTINGS]
         try:
-            config.stash[SELECTION] = select(settings.subject, settings.protocols)
+            config.stash[SELECTION] = without_cable(select(settings.subject, settings.protocols), _cable_refused)
         except UsageError as error:
             refuse(error)
     return config.stash[SELECTION]
+
+
+def _cable_refused() -> str | None:
+    from ..session.cable import cable_refused
+
+    return cable_refused()
 
 
 def required_tasks(config: pytest.Config) -> dict[str, Task]:
     """Return the tasks that a run with these adapters must have, by id."""
     from ..suite.catalogue import tasks_by_id
 
-    return tasks_by_id(select_adapters(config).subject.adapters, config.stash[SETTINGS].suites)
+    settings = config.stash[SETTINGS]
+    return tasks_by_id(select_adapters(config).subject.adapters, settings.suites, settings.devices)

@@ -83,7 +83,10 @@ class Run:
                 self.starting(0, len(wanted), len(wanted))
             self._isolation = Isolation(self.settings.isolation)
             outside = {protocol: adapter.openings.why_outside for protocol, adapter in self.subject.adapters.items()}
-            self._loop, self._plant = LoopThread(), Plant(self.settings.external, self._isolation, outside)
+            self._loop, self._plant = (
+                LoopThread(),
+                Plant(self.settings.external, self._isolation, outside, self.settings.consents),
+            )
             with settled():
                 self._loop.run(self._plant.launch(wanted))
                 # The MCP client takes as long to import as the devices take to start. It is imported on another thread:
@@ -96,6 +99,7 @@ class Run:
                     era=self.settings.era,
                     time_scale=self.settings.time_scale,
                     soak=self.settings.soak,
+                    devices=self.settings.devices,
                     worker=self._worker or MAIN,
                 )
                 self._bench = Bench(self.subject, options, self._plant)
@@ -117,12 +121,13 @@ class Run:
 
     def _adapters_needed(self) -> list[str]:
         """Return the adapter variants that the tasks need; read-write variants also where no task applies, for their tools."""
-        from ..trial.applicability import applicability, participants
+        from ..trial.applicability import applicability, participants, why_not_in_field
 
         adapters = self.subject.adapters
-        wanted = {name for task in self.tasks for name in task.adapters if name in adapters}
+        tasks = [task for task in self.tasks if why_not_in_field(task, self.settings.devices) is None]
+        wanted = {name for task in tasks for name in task.adapters if name in adapters}
         # Few tasks need a read-only variant. Where another process may get them, it is started with the first such task.
-        for task in self.tasks if self._worker is None else ():
+        for task in tasks if self._worker is None else ():
             if applicability(task, adapters) is None:
                 wanted |= set(participants(task, adapters))
         return sorted(wanted)
@@ -192,7 +197,7 @@ class Run:
                 "digest": spool.digest,
             }
 
-        planned = self.settings.repetitions[task.suite]
+        planned = self.settings.repetitions.get(task.suite, 1)
         report = partial(self.progress, task) if self.progress is not None else None
         driver = LiveDriver(bench, task, seed=self.settings.seed)
         trial = Trial(driver, task, planned, keep=keep, progress=report)
@@ -237,16 +242,23 @@ class Run:
         return self._facts
 
     def close(self) -> None:
-        """End the sessions, the devices and the loop."""
-        if self._loop is not None:
-            if self._bench is not None:
-                self._loop.run(self._bench.close())
-            if self._plant is not None:
-                self._loop.run(self._plant.close())
-            self._loop.close()
-        if self._isolation is not None:
-            self._isolation.close()
-        self._loop = self._plant = self._bench = self._isolation = None
+        """End the sessions, the devices and the loop.
+
+        Raises:
+            UnrestoredError: a real device did not get its old values back.
+        """
+        try:
+            if self._loop is not None:
+                if self._bench is not None:
+                    self._loop.run(self._bench.close())
+                if self._plant is not None:
+                    self._loop.run(self._plant.close())
+        finally:
+            if self._loop is not None:
+                self._loop.close()
+            if self._isolation is not None:
+                self._isolation.close()
+            self._loop = self._plant = self._bench = self._isolation = None
 
 
 async def _tell_each_second(waiting: Callable[[float, str], None], under_way: UnderWay) -> None:

@@ -1,4 +1,4 @@
-"""What an adapter was told: the targets that may be written, limits of their values, and limits of time. Pure.
+"""What an adapter was told: the targets that may be written, limits of their values, limits of time, and its policy. Pure.
 
 Targets have the names of the points in a device's image; a device without such an image, as a broker is, has them by the protocol's own
 names, such as topics.
@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cache
 from typing import Any
 
-__all__ = ["Bounds", "Limit", "Times"]
+__all__ = ["Bounds", "Governance", "Limit", "Scopes", "Times"]
 
 _RANGE = re.compile(r"(\d+)\.\.(\d+)|\*")
 
@@ -82,6 +82,63 @@ class Times:
     def of_record(cls, stated: Mapping[str, Any]) -> Times:
         """Return what a subject file or a run record states."""
         return cls(deadline_s=float(stated["deadline_s"]), attempts=stated.get("attempts"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scopes:
+    """The scopes of tokens, as the author of an adapter states them; several are separated by blanks.
+
+    Attributes:
+        writes: of a caller who may write.
+        reads: of one who may read alone; None where the adapter knows no such caller.
+    """
+
+    writes: str
+    reads: str | None = None
+
+    def as_record(self) -> dict[str, Any]:
+        """Return this as a run record has it."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+    @classmethod
+    def of_record(cls, stated: Mapping[str, Any]) -> Scopes:
+        """Return what a subject file or a run record states."""
+        return cls(writes=stated["writes"], reads=stated.get("reads"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Governance:
+    """What an adapter with a policy was told, and what it has to show, as its author states it.
+
+    Attributes:
+        bounds: what the caller may write without asking, and limits, also those of the target that a person approves.
+        viewer: it can be launched for a caller who may write nothing.
+        audit: ``fields`` (JMESPath by what is found there), ``anchor`` (JMESPath in an answer), ``digest`` (values are not written out),
+            ``is_file`` and ``verifies`` (there is a verifier); None for an adapter without a log.
+        approval: ``target`` (every write of it needs an approval), ``by`` (``client`` or ``outside``), ``id`` (JMESPath in a refusal), and
+            ``expires_s`` where it is stated; None for an adapter without approvals.
+    """
+
+    bounds: Bounds
+    viewer: bool
+    audit: Mapping[str, Any] | None
+    approval: Mapping[str, Any] | None
+
+    def as_record(self) -> dict[str, Any]:
+        """Return this as a run record has it."""
+        parts = {"audit": self.audit, "approval": self.approval}
+        stated = {name: dict(part) for name, part in parts.items() if part is not None}
+        return {**self.bounds.as_record(), "viewer": self.viewer, **stated}
+
+    @classmethod
+    def of_record(cls, stated: Mapping[str, Any]) -> Governance:
+        """Return what a run record states."""
+        return cls(
+            bounds=Bounds.of_record(stated),
+            viewer=stated["viewer"],
+            audit=stated.get("audit"),
+            approval=stated.get("approval"),
+        )
 
 
 def _stated(limit: Limit) -> dict[str, float]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..core.journal_entry import JournalEntry
 
-__all__ = ["ADAPTER", "Entries", "Image", "JournalEntry", "judged"]
+__all__ = ["ADAPTER", "CYCLIC", "HANDSHAKES", "Entries", "Image", "JournalEntry", "judged"]
 
 
 Entries = Sequence[JournalEntry]
@@ -19,6 +19,11 @@ Image = Mapping[str, Any]
 
 ADAPTER = "client"
 """Origin of what the adapter under test caused in its session."""
+CYCLIC = frozenset({"cycle", "inputs"})
+"""Kinds of entries about process data, which come and go without being asked for each time: who reads them has read the device."""
+HANDSHAKES = frozenset({"tls", "tls_open", "tls_ended", "tls_alert", "tls_plaintext"})
+"""Kinds of entries about a device's end of TLS (``mocks/tls``): none of them asks the device for anything. ``tls``, of the kit, presents
+another certificate."""
 _NOT_JUDGED = frozenset({"former", "stranger", "unknown"})
 
 

@@ -4,4 +4,4 @@ from __future__ import annotations
 
 __all__ = ["OWN"]
 
-OWN = ("modbus", "mqtt", "opcua", "s7", "bacnet", "ethernetip", "dnp3", "profibus")
+OWN = ("modbus", "mqtt", "opcua", "s7", "bacnet", "ethernetip", "dnp3", "profibus", "ethercat", "profinet")

@@ -15,6 +15,7 @@ from ..wire.framing import FrameLength
 from .conversation import Conversation
 from .exercise import Exercise
 from .external import ExternalDevice
+from .field import Field
 from .journal import Entries, JournalEntry
 from .proof import Proof
 from .session_oracle import SessionOracle
@@ -23,14 +24,18 @@ from .stamp import Stamp
 __all__ = [
     "ANY_READ",
     "BOUNDS",
+    "CLIENT_CERTIFICATE",
     "COMMANDS",
     "CONTROL_GUARD",
+    "GOVERNANCE",
     "GUARD",
     "LAUNCHES",
     "READ",
     "READ_OR_STATUS",
     "RECOVERY",
+    "SECURE",
     "TIMES",
+    "TOKENS",
     "Choice",
     "Colour",
     "Composite",
@@ -54,8 +59,28 @@ BOUNDS = "bounds"
 TIMES = "times"
 """Facet: the adapter can be launched with other time limits and numbers of repetitions than its usual ones (``retimed``)."""
 
-LAUNCHES: Mapping[str, str] = {GUARD: "ro", CONTROL_GUARD: "no_control", BOUNDS: "bounded", TIMES: "retimed"}
+SECURE = "secure"
+"""Facet: the adapter can be launched for the secure form of the protocol (``secure``), where the protocol has one."""
+
+GOVERNANCE = "governance"
+"""Facet: the adapter can be launched with a policy of what may be written, and what it has of an audit log and approvals (``governed``)."""
+
+TOKENS = "tokens"
+"""Facet: the adapter can be launched as an HTTP server that takes the tokens of an issuer (``tokens``)."""
+
+LAUNCHES: Mapping[str, str] = {
+    GUARD: "ro",
+    CONTROL_GUARD: "no_control",
+    BOUNDS: "bounded",
+    TIMES: "retimed",
+    SECURE: "secure",
+    GOVERNANCE: "governed",
+    TOKENS: "tokens",
+}
 """Facets that are launches of their own, to the variant of the adapter that has the facet."""
+
+CLIENT_CERTIFICATE = "client_certificate"
+"""Facet: the launch for the secure form of the protocol is given a certificate of the adapter's own."""
 
 COMMANDS = "commands"
 """Facet: the adapter has tools with a vocabulary of their own, whose effect on the device the subject file states."""
@@ -307,12 +332,19 @@ class OtProtocol:
         packages: distributions whose versions the run record states.
         colour: in figures and reports.
         external: the user's device in the mock's place; None when the mock cannot be replaced.
+        real: what may be done at a real device; None where the kit takes none of this protocol.
         session_oracles: the oracles that judge the whole life of a session.
         proof: what shows that a session talks to the mock device, before anything is written through it.
         exercise: what checks that hold for every protocol do on this one; None where there are no such checks.
         always: the protocol's items are part of every run, as the paper's matrix has it; otherwise only of runs whose
             subject has an adapter for it.
         delayed: conditions of the mock's fault rules, one each, that together concern every request that is answered.
+        cable: it is spoken on Ethernet itself, so that its device and adapters have a cable of their own.
+        secure: the protocol has a secure form, which its mock speaks.
+        application: URI of the mock's application, where certificates have one.
+        policies: names of the security policies of which a client is told one, without those that are deprecated.
+        discovery: kinds of entries by which a client finds out how to connect securely; none of them needs security.
+        introduction: further kinds that a client may send before it has checked who the device is.
         origin: None for the kit's own protocols.
     """
 
@@ -348,11 +380,18 @@ class OtProtocol:
     envelope_names: tuple[str, ...] = ()
     packages: tuple[str, ...] = ()
     external: ExternalDevice | None = None
+    real: Field | None = None
     session_oracles: tuple[type[SessionOracle], ...] = ()
     proof: Proof = field(default_factory=Proof)
     exercise: Exercise | None = None
     always: bool = False
     delayed: tuple[Mapping[str, object], ...] = ({},)
+    cable: bool = False
+    secure: bool = False
+    application: str = ""
+    policies: tuple[str, ...] = ()
+    discovery: Collection[str] = ()
+    introduction: Collection[str] = ()
     origin: Origin | None = None
 
     @property
@@ -368,8 +407,9 @@ class OtProtocol:
     @property
     def facets(self) -> tuple[str, ...]:
         """Facets that an adapter for this protocol may claim or not."""
-        names = [GUARD, RECOVERY, BOUNDS, TIMES, COMMANDS]
+        names = [GUARD, RECOVERY, BOUNDS, TIMES, GOVERNANCE, TOKENS, COMMANDS]
         names += [CONTROL_GUARD] if self.controls else []
+        names += [SECURE, CLIENT_CERTIFICATE] if self.secure else []
         for name, operation in self.operations.items():
             names += [name, *(f"{name}.{optional}" for optional in operation.optional)]
             names += (
@@ -379,7 +419,7 @@ class OtProtocol:
 
     def is_voluntary(self, facet: str) -> bool:
         """Tell whether only a binding, a launch or a named command claims this facet: nothing is said of a subject that has none."""
-        if facet in (BOUNDS, COMMANDS, CONTROL_GUARD, TIMES):
+        if facet in (BOUNDS, CLIENT_CERTIFICATE, COMMANDS, CONTROL_GUARD, SECURE, GOVERNANCE, TIMES, TOKENS):
             return True
         name, _, part = facet.partition(".")
         operation = self.operations.get(name)

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 
 from ..core.challenge import is_nonce, seed_of
-from ..core.matrix import REQUIREMENTS, SUITES, repetitions
+from ..core.matrix import FIELD, KNOWN_SUITES, REQUIREMENTS, repetitions
 from ..core.verdict import INEXPRESSIBLE, Status
 from .schema import COUNTED, ROLES, Call, Counted, Footer, Header, Item, ItemHead, Sample, Settings
 
@@ -61,7 +61,7 @@ def count_calls(items: Iterable[Item]) -> dict[Counted, int]:
 
 def inapplicable_by_steps(item: ItemHead) -> bool:
     """Tell whether the steps of an item found nothing to judge: they ran, and playing them back shows the same."""
-    may = item["suite"] == REQUIREMENTS or (item["reason"] or "").startswith(INEXPRESSIBLE)
+    may = item["suite"] in (REQUIREMENTS, FIELD) or (item["reason"] or "").startswith(INEXPRESSIBLE)
     return may and item["status"] == Status.NOT_APPLICABLE and bool(item["devices"])
 
 
@@ -76,7 +76,7 @@ class RunChecker:
         for moment in (header["environment"]["started_at"], header["environment"]["finished_at"]):
             _check_instant(moment, "the record")
         for suite in header["settings"]["suites"]:
-            if suite not in SUITES:
+            if suite not in KNOWN_SUITES:
                 raise Contradiction(f"the settings ask for the unknown suite {suite!r}")
         _check_once(header["settings"]["suites"], "the settings ask for the suite")
         _check_once([entry["key"] for entry in header["kit"]["protocols"]], "the kit has the protocol")
@@ -105,7 +105,7 @@ class RunChecker:
         if name in self._items:
             raise Contradiction(f"an item occurs twice: {name}")
         self._items.add(name)
-        if item["suite"] not in SUITES:
+        if item["suite"] not in KNOWN_SUITES:
             raise Contradiction(f"{name} has the unknown suite {item['suite']!r}")
         if item["suite"] not in self._header["settings"]["suites"]:
             raise Contradiction(f"{name} is of the suite {item['suite']}, which the settings do not ask for")

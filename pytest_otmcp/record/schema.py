@@ -66,6 +66,7 @@ __all__ = [
     "Subject",
     "ToldSecret",
     "ToolListing",
+    "ToolSurface",
     "ToolsChanged",
     "check",
 ]
@@ -229,6 +230,16 @@ class ToolListing(TypedDict):
     twice: NotRequired[Literal["alike", "other"]]
 
 
+class ToolSurface(TypedDict):
+    """What ``tools/list`` gives a model to read of one tool: whether it has a description, code points that a person does not see, the
+    names of its arguments, and the bytes of name, title, description and schema."""
+
+    described: bool
+    unseen: list[str]
+    arguments: list[Name]
+    bytes: Count
+
+
 class CallLimit(TypedDict):
     """The most tool calls that the adapter takes in ``per_s`` seconds, as its subject file declares."""
 
@@ -251,6 +262,51 @@ class BoundsTold(TypedDict):
 
     allowed: list[str]
     limits: dict[str, LimitTold]
+
+
+class AuditTold(TypedDict):
+    """Where the records of an audit log have what (``fields``), where an answer names its record (``anchor``), whether values are written out
+    (``digest``: they are not), whether the log is a file, and whether it has a verifier."""
+
+    fields: dict[str, str]
+    anchor: str
+    digest: bool
+    is_file: bool
+    verifies: bool
+
+
+class ApprovalTold(TypedDict):
+    """The target whose writes a person approves, who is asked, what the client fills in for a yes, where a refusal has the number of the request,
+    and the seconds after which an approval has ended."""
+
+    target: str
+    by: Literal["client", "outside"]
+    form: dict[str, Any]
+    id: str
+    expires_s: NotRequired[Deadline]
+
+
+class GovernanceTold(BoundsTold):
+    """What the variant ``governed`` of an adapter was told: as for ``bounded``, whether there is a caller who may only read, and what it has of
+    an audit log and of approvals."""
+
+    viewer: bool
+    audit: NotRequired[AuditTold]
+    approval: NotRequired[ApprovalTold]
+
+
+class ScopesTold(TypedDict):
+    """The scopes of tokens with which a caller of the variant ``tokens`` may write, and with which it may read alone."""
+
+    writes: str
+    reads: NotRequired[str]
+
+
+class Question(TypedDict):
+    """What an adapter has asked the kit's client: a text, and the JSON Schema of the answer."""
+
+    text: str
+    form: dict[str, Any]
 
 
 class TimesTold(TypedDict):
@@ -292,7 +348,8 @@ class AdapterFacts(TypedDict):
     ``lists``: the lists of the protocol's own keys.
     ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
     ``lacks``: optional inputs that no tool takes. ``offered``: voluntary facets that bindings and launches claim; absent where there are none.
-    ``bounds``: what it was told to allow, where the subject file says so; ``times`` and ``ready`` likewise. ``commands``: its named commands, each with the operation that it
+    ``bounds``: what it was told to allow, where the subject file says so; ``times``, ``governance``, ``scopes`` and ``ready`` likewise.
+    ``secured``: what each handshake of the variant ``secure`` has to have in the journal, where the subject file says what was configured. ``commands``: its named commands, each with the operation that it
     performs; absent where there are none.
     ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
@@ -318,6 +375,9 @@ class AdapterFacts(TypedDict):
     offered: NotRequired[list[str]]
     bounds: NotRequired[BoundsTold]
     times: NotRequired[TimesTold]
+    governance: NotRequired[GovernanceTold]
+    scopes: NotRequired[ScopesTold]
+    secured: NotRequired[dict[str, str]]
     opened_by: NotRequired[Name]
     ready: NotRequired[ReadyTold]
     commands: NotRequired[dict[str, str]]
@@ -361,6 +421,31 @@ class Environment(TypedDict):
     walls: NotRequired[dict[Wall, str | None]]
 
 
+class Allowed(TypedDict):
+    """Points that may be written, such as ``1/holding_registers/100..103``, and the numbers that may be written there."""
+
+    target: str
+    lowest: float
+    highest: float
+
+
+class Consent(TypedDict):
+    """What a person allowed to be written to a real device, from the day ``date`` to the day ``expires``; ``outage``: to be cut off as well."""
+
+    name: str
+    date: str
+    expires: str
+    writable: list[Allowed]
+    outage: NotRequired[Literal[True]]
+
+
+class RealDevice(TypedDict):
+    """A real device as the user named it: nothing is written without a consent."""
+
+    url: str
+    consent: Consent | None
+
+
 class Settings(TypedDict):
     """The options of the run.
 
@@ -368,6 +453,7 @@ class Settings(TypedDict):
     whose reference adapters were asked for; ``not_measured``: those whose adapter could not be started, each with a sentence that
     says why; a run of an earlier kit has neither. ``narrowed``: which options make
     the run say less than a full run, a sentence each. ``challenge``: the nonce that the seed follows from; absent where there is none.
+    ``devices``: real devices by protocol, in a field record alone.
     """
 
     subject: str | None
@@ -383,21 +469,32 @@ class Settings(TypedDict):
     xdist_workers: Count
     narrowed: list[str]
     challenge: NotRequired[str]
+    devices: NotRequired[dict[str, RealDevice]]
+
+
+class Witnesses(TypedDict):
+    """Who saw what at a real device: ``wire`` all requests, ``state`` what it holds; ``identity``: what the device says of itself."""
+
+    wire: str
+    state: str
+    identity: str | None
 
 
 class Endpoint(TypedDict):
-    """One place where adapters reached a device: a port of a host, or the path of a pseudo terminal."""
+    """One place where adapters reached a device: a port of a host, the path of a pseudo terminal, or a cable, whose ``path`` is the adapters' interface
+    and whose ``host`` and ``mac`` are the device's addresses."""
 
     name: str
-    kind: Literal["tcp", "udp", "pty"]
+    kind: Literal["tcp", "udp", "pty", "cable"]
     host: str
     port: Count
     path: str
+    mac: NotRequired[str]
 
 
-VariantName = Literal["rw", "ro", "no_control", "bounded", "retimed"]
+VariantName = Literal["rw", "ro", "no_control", "bounded", "retimed", "secure", "governed", "tokens"]
 """With writes enabled; disabled; enabled without control of the device itself; enabled within bounds; enabled with other limits of
-time."""
+time; enabled over the secure form of the protocol."""
 
 
 class Device(TypedDict):
@@ -405,6 +502,7 @@ class Device(TypedDict):
 
     ``endpoints``: the main one first. ``placeholders``: what ``{host}``, ``{port}`` and ``{url}`` of the subject file stood for.
     ``first``: sequence number at which its journal begins to be the run's; 0 for a device that the run itself has started.
+    ``witnesses``: of a real device alone; a device without is a mock, or a broker.
     """
 
     protocol: str
@@ -413,6 +511,7 @@ class Device(TypedDict):
     endpoints: list[Endpoint]
     placeholders: dict[str, str]
     first: Count
+    witnesses: NotRequired[Witnesses]
 
 
 class Finding(TypedDict):
@@ -578,12 +677,18 @@ class Observation(TypedDict):
     oracles have seen everything before this number. ``wait``: so many entries had matched when the waiting was over. ``image``:
     a device image; ``changes``: what differs in one from the last whole image of the device. ``stop``: the device was stopped,
     milliseconds; ``start``: it was started, its journal counts from 0 again. ``fresh_session``: the session was replaced.
-    ``garbled``: number of the entry at which a session with a write switch that means nothing began; None where there was none.
+    ``garbled``: number of the entry at which a session with a write switch that means nothing, or without the adapter's own certificate, began;
+    None where there was none.
     ``handshake_era``: the session was replaced by one of MCP's era of the handshake, if the adapter speaks it.
     ``end``: the slice ends before this number, the next one begins there. ``process``: figures of the adapter's processes.
     ``tools``: digests of the tools that the adapter lists, and of their order. ``line_sent``: whether a line could be written to its standard input as it is.
     ``stderr``: the adapter's newest lines there. ``made_file``: whether a file was there that a shell makes of a text. ``listed``: the tools of the session, name to entry.
+    ``surface``: what is to be read of each tool of the session.
     ``refuses``: whether a call of a tool that does not exist was answered by a failure; None where there was no answer.
+    ``asked``: what the adapter has asked its client since the last look. ``audit``: the lines of its audit log that are new since then.
+    ``verified``: whether its verifier takes the log for whole, by what was done to the log. ``cramped``: whether the log can grow no more.
+    ``approved``: whether an approval outside of MCP was given. ``listens_beyond``: whether the adapter's HTTP server is open at an address of this
+    machine that it was not told.
     """
 
     at: str
@@ -609,6 +714,13 @@ class Observation(TypedDict):
     made_file: NotRequired[bool]
     refuses: NotRequired[bool | None]
     listed: NotRequired[dict[str, ToolListing]]
+    surface: NotRequired[dict[str, ToolSurface]]
+    asked: NotRequired[list[Question]]
+    audit: NotRequired[list[str]]
+    verified: NotRequired[dict[str, bool]]
+    cramped: NotRequired[bool]
+    approved: NotRequired[bool]
+    listens_beyond: NotRequired[bool]
 
 
 class Phases(TypedDict):

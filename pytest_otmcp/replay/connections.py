@@ -8,10 +8,11 @@ adapter's, nor the other way round.
 from __future__ import annotations
 
 from ..core.journal_entry import JournalEntry
+from ..protocols.journal import HANDSHAKES
 
 __all__ = ["EVENTS", "Connections"]
 
-EVENTS = frozenset({"CONNECTED", "DISCONNECTED", "garbage", "lost", "malformed", "mangled", "network"})
+EVENTS = frozenset({"CONNECTED", "DISCONNECTED", "garbage", "lost", "malformed", "mangled", "network", *HANDSHAKES})
 """Kinds of entries that are no messages of a protocol: every witness has them, and none asks the device for anything."""
 _UNASKED = EVENTS - {"malformed"}
 """Of these a device on a library may answer what the kit's codec does not understand."""

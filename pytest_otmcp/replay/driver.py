@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
 from ..core.errors import ExhaustedError, KitError, MeddledError, NoBindingError, SubjectError
-from ..core.matrix import REQUIREMENTS
 from ..core.verdict import Status
 from ..protocols.journal import Entries
 from ..protocols.protocol import Declared
@@ -143,7 +142,7 @@ class ReplayDriver:
             seed=self._seed,
             time_scale=self._time_scale,
             soak=self._soak,
-            is_check=self._task.suite == REQUIREMENTS,
+            suite=self._task.suite,
             rigs=map(Rig, self._players),
         )
 

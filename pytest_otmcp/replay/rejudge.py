@@ -22,7 +22,8 @@ from ..record.reader import StoredItem, StoredRun
 from ..record.schema import CallJudgement, Finding, Header, ItemBody, ItemHead, ItemJudgement, Sample, SampleJudgement
 from ..record.schema import Endpoint as EndpointFacts
 from ..subject.claims import Claims
-from ..suite.catalogue import all_tasks, suite_digest
+from ..suite.catalogue import known_tasks, suite_digest
+from ..trial.applicability import why_not_in_field
 from ..trial.task import Task
 from ..trial.trial import Trial
 from .device import DeviceHistory
@@ -71,7 +72,7 @@ def differences(run: StoredRun) -> Iterator[Difference]:
     Returns:
         Every disagreement between what this kit finds in the history and what the record says.
     """
-    tasks = all_tasks()
+    tasks = known_tasks()
     try:
         judge = _Judge(run.header)
         yield from judge.devices()
@@ -111,7 +112,7 @@ class _Judge:
         for name, history in self._devices.items():
             facts = history.facts
             for endpoint in facts["endpoints"]:
-                if endpoint["kind"] != "pty" and not _is_loopback(endpoint["host"]):
+                if endpoint["kind"] in ("tcp", "udp") and not _is_loopback(endpoint["host"]):
                     stated = f"a device of the kit listens on this machine only, the record says {endpoint['host']!r}"
                     yield Objection(name, stated)
                 if _impossible(endpoint):
@@ -138,6 +139,11 @@ class _Judge:
         yield from self._of_history(item, task)
 
     def _of_claims(self, head: ItemHead, task: Task) -> Iterator[Difference]:
+        reason = why_not_in_field(task, self._settings.get("devices", {}))
+        if (reason is not None) != (head["status"] == Status.NOT_APPLICABLE and head["reason"] == reason):
+            yield Objection(head["id"], f"the record says {head['status']}, and of real devices follows: {reason}")
+        if reason is not None:
+            return
         # An adapter that had no device, as in a run that was narrowed, cannot be judged.
         gaps = [facet for facet in self._claims.required(task.needs) if not self._claims.has(facet)]
         if head["status"] == Status.NOT_APPLICABLE and not gaps and not inapplicable_by_steps(head):
@@ -197,9 +203,10 @@ def _is_loopback(host: str) -> bool:
 
 
 def _impossible(endpoint: EndpointFacts) -> bool:
-    """Tell whether an endpoint has more than its kind of address: a port has no path, a pseudo terminal has nothing else."""
-    is_line = endpoint["kind"] == "pty"
-    return is_line != bool(endpoint["path"]) or is_line == bool(endpoint["host"]) or is_line == bool(endpoint["port"])
+    """Tell whether an endpoint has more than its kind of address: a port has no path, a pseudo terminal has nothing else, and a cable
+    has no port."""
+    has = {name for name in ("host", "port", "path", "mac") if endpoint.get(name)}
+    return has != {"pty": {"path"}, "cable": {"host", "path", "mac"}}.get(endpoint["kind"], {"host", "port"})
 
 
 def _of_sample(where: str, found: Sample, said: Sample) -> Iterator[Difference]:

@@ -10,9 +10,9 @@ from collections.abc import Iterable
 from itertools import count
 from typing import cast
 
-from ..core.matrix import BENCHMARK, REQUIREMENTS, repetitions
+from ..core.matrix import BENCHMARK, FIELD, REQUIREMENTS, repetitions
 from ..core.statistics import lower_bound
-from ..protocols.external import external_devices
+from ..protocols.external import DEVICE, external_devices
 from ..record.schema import AdapterFacts, Call, Item, ItemBody, Run
 from ..record.warnings import failing
 from ..suite.catalogue import tasks_by_id
@@ -21,7 +21,6 @@ __all__ = [
     "Item",
     "Run",
     "adapters",
-    "applied",
     "applies",
     "command",
     "control_failed",
@@ -43,18 +42,11 @@ def applies(item: Item) -> bool:
     return bool(item["status"] != "NOT_APPLICABLE")
 
 
-def applied(run: Run) -> str:
-    """Say how many items of the suite ran and apply to the subject, of all that there are: what a verdict is about."""
-    ran = {item["id"]: applies(item) for item in run["items"]}
-    total = len({*tasks_by_id(run["subject"]["adapters"], run["settings"].get("suites", BENCHMARK)), *ran})
-    return f"{sum(ran.values())} of {total} items applied"
-
-
 def whole(run: Run) -> bool:
     """Tell whether every item of the suite that there is for the subject has a result."""
-    return tasks_by_id(run["subject"]["adapters"], run["settings"].get("suites", BENCHMARK)).keys() <= {
-        item["id"] for item in run["items"]
-    }
+    return tasks_by_id(
+        run["subject"]["adapters"], run["settings"].get("suites", BENCHMARK), run["settings"].get("devices", ())
+    ).keys() <= {item["id"] for item in run["items"]}
 
 
 def deadlines(run: Run) -> str:
@@ -75,8 +67,8 @@ def tally(items: Iterable[Item]) -> tuple[int, int]:
 
 def least(item: Item) -> float | None:
     """Return the rate at which the item passes at least, with 95 % confidence; None when it says nothing about the subject, for a
-    check of a requirement, which is met or not, or when something around the repetitions failed: then the repetitions are not what the item is about."""
-    if item["suite"] == REQUIREMENTS or not item["samples"] or failing(item["findings"]):
+    check of a requirement or an item of a real device, which is met or not, or when something around the repetitions failed: then the repetitions are not what the item is about."""
+    if item["suite"] in (REQUIREMENTS, FIELD) or not item["samples"] or failing(item["findings"]):
         return None
     return lower_bound(*tally([item]))
 
@@ -134,16 +126,17 @@ def command(run: Run, item: Item | None = None, repetition: int = 0) -> str:
     options = ["--pyargs", "pytest_otmcp.conformance"]
     if item is None:
         options.append(f"--otmcp-reps={settings['reps']}")
-        if list(settings.get("suites", BENCHMARK)) != list(BENCHMARK):
-            options.append(f"--otmcp-suite={','.join(settings['suites'])}")
+        named = [suite for suite in settings.get("suites", BENCHMARK) if suite != FIELD]
+        if named not in ([], [*BENCHMARK]):
+            options.append(f"--otmcp-suite={','.join(named)}")
     elif item["suite"] == REQUIREMENTS:
         options.append(f"--otmcp-only={item['id']}")
     else:
         # A suite's repetitions are a share of N: N must be large enough for this repetition to be among them.
-        reps = next(reps for reps in count(1) if repetitions(reps)[item["suite"]] > repetition)
+        reps = next(reps for reps in count(1) if repetitions(reps).get(item["suite"], 1) > repetition)
         options += [f"--otmcp-reps={reps}", "-k", f"[{item['id']}]"]
     usual = {"seed": 0, "era": "auto", "time_scale": 1.0}
-    usual |= {device.option: "embedded" for device in external_devices().values()}
+    usual |= {device.option: "embedded" for device in external_devices().values() if device.option != DEVICE}
     for name, value in usual.items():
         chosen = cast(dict[str, object], settings).get(name, value)
         if chosen != value:
@@ -152,6 +145,7 @@ def command(run: Run, item: Item | None = None, repetition: int = 0) -> str:
         options.append(f"--otmcp-protocols={','.join(further)}")
     if settings.get("soak"):
         options.append("--otmcp-soak")
+    options += [f"--otmcp-{DEVICE}={key}={device['url']}" for key, device in settings.get("devices", {}).items()]
     if settings.get("subject"):
         options.append(f"--otmcp-subject={settings['subject']}")
     return shlex.join(["pytest", *options])

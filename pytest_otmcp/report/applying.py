@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..core.verdict import Verdict
 from ..protocols.registry import protocols
-from ..trial.applicability import NO_ADAPTER
+from ..suite.spoken import of_spoken
 from . import Run, applies
 from .text import clipped
 
@@ -26,22 +26,13 @@ def nothing_asked(run: Run) -> str:
 
 
 def not_applying(run: Run) -> str:
-    """Say how many items do not apply, and why; empty when all do.
-
-    Items without an adapter are counted, those that the subject does not claim are named with its reason.
-    """
-    unclaimed = [item for item in run["items"] if not applies(item)]
-    missing: dict[str, int] = {}
-    others: dict[str, list[str]] = {}
-    for item in unclaimed:
-        reason = item["reason"] or "not claimed"
-        if reason.startswith(NO_ADAPTER):
-            name = reason.removeprefix(NO_ADAPTER)
-            missing[name] = missing.get(name, 0) + 1
-        else:
-            others.setdefault(reason, []).append(item["id"])
-    whys = [f"no adapter for {', '.join(missing)} ({sum(missing.values())})"] if missing else []
-    whys += [f"{' '.join(ids)}: {clipped(reason, _LETTERS)}" for reason, ids in others.items()]
-    if not whys:
+    """Say which items about the subject's protocols do not apply, and why; empty when all do."""
+    reasons: dict[str, list[str]] = {}
+    for item in of_spoken(run)["items"]:
+        if not applies(item):
+            reasons.setdefault(item["reason"] or "not claimed", []).append(item["id"])
+    if not reasons:
         return ""
-    return f"{len(unclaimed)} {'does' if len(unclaimed) == 1 else 'do'} not apply: {'; '.join(whys)}"
+    count = sum(map(len, reasons.values()))
+    whys = "; ".join(f"{' '.join(ids)}: {clipped(reason, _LETTERS)}" for reason, ids in reasons.items())
+    return f"{count} {'does' if count == 1 else 'do'} not apply: {whys}"

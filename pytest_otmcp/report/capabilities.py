@@ -23,7 +23,7 @@ from ..suite.catalogue import all_tasks, tasks_by_id
 from ..suite.requirements import requirements
 from ..trial.task import Task
 from . import Item, Run, adapters
-from .families import families
+from .families import families, spoken_families
 
 __all__ = ["Earned", "Grade", "Heading", "earned"]
 
@@ -113,7 +113,7 @@ def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
         for name, heading in _HEADINGS.items()
     ]
     if further:
-        rows.append((_FURTHER, further, {}, set(), set(families(run))))
+        rows.append((_FURTHER, further, {}, set(), {*families(run), *spoken_families(run)}))
     away = wanted[Capability.OUTAGES]
     return [
         (
@@ -127,7 +127,7 @@ def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
                     away.get(family, ()),
                     items,
                 )
-                for family in families(run)
+                for family in dict.fromkeys([*families(run), *spoken_families(run)])
             },
         )
         for heading, ids, losing, unclaimed, claiming in rows
@@ -138,7 +138,9 @@ def _wanted(run: Run) -> tuple[dict[str, _Ids], _Ids]:
     """Return the ids of the items behind each capability, by family, and of the items behind none."""
     behind: dict[str, tuple[str, Collection[str]]] = {
         task.id: (task.family, _of_task(task))
-        for task in tasks_by_id(run["subject"]["adapters"], run["settings"].get("suites", BENCHMARK)).values()
+        for task in tasks_by_id(
+            run["subject"]["adapters"], run["settings"].get("suites", BENCHMARK), run["settings"].get("devices", ())
+        ).values()
     }
     behind |= {item["id"]: (item["family"], _capabilities(item)) for item in run["items"]}
     wanted: dict[str, _Ids] = {name: {} for name in _HEADINGS}

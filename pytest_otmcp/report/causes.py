@@ -16,10 +16,12 @@ from ..protocols.registry import protocols
 from ..record.schema import Finding
 from ..record.warnings import failing
 from ..suite.by_library import advice
+from ..suite.explanations import findings
 from ..suite.requirements import requirements
 from . import Item, Run
+from .plainly import InWords, due, in_words
 
-__all__ = ["Cause", "causes", "extent"]
+__all__ = ["Cause", "causes", "extent", "rows", "without_cause"]
 
 _ROLE = re.compile(r"^(?:setup|warmup|control): ")
 _VARIABLE = re.compile(r"""'(?:[^'\\]|\\.){0,1000}'|"(?:[^"\\]|\\.){0,1000}"|\[[^\]]{0,1000}\]|\d+(?:\.\d+)?""")
@@ -45,6 +47,8 @@ class Cause:
         times: number of findings.
         alone: how many of these items have no other finding.
         further: the first sentence of each other kind of finding about the same rule.
+        words: the call in which the first finding shows, in plain words; None without calls.
+        due: what the adapter should have said; empty where the finding does not tell.
         by_library: what to change in the libraries that the adapter was seen to use, a sentence each.
     """
 
@@ -58,7 +62,21 @@ class Cause:
     times: int
     alone: int
     further: tuple[str, ...]
+    words: InWords | None
+    due: str
     by_library: tuple[str, ...] = ()
+
+    @property
+    def headline(self) -> str:
+        """The rule in plain words, or what the kind of finding means."""
+        known = findings().get(self.first["code"])
+        return self.statement or ("" if known is None else known[0].meaning)
+
+    @property
+    def changes(self) -> tuple[str, ...]:
+        """What to change: in the libraries that the adapter was seen to use, else where the cause of such a finding usually is."""
+        known = findings().get(self.first["code"])
+        return self.by_library or (() if known is None else (known[0].change,))
 
 
 def extent(cause: Cause) -> str:
@@ -67,6 +85,25 @@ def extent(cause: Cause) -> str:
     if known is None or not known.beside or len(cause.items) < _SEVERAL:
         return ""
     return f"{cause.alone} of {len(cause.items)} items have no other finding"
+
+
+def rows(cause: Cause) -> list[tuple[str, tuple[str, ...]]]:
+    """Return what was asked, said, seen and due, as far as the record tells, each with its label."""
+    told = []
+    if (words := cause.words) is not None:
+        more = (f"and {words.more_seen} more",) if words.more_seen else ()
+        told = [("asked", (words.asked,)), ("the adapter said", (words.said,)), ("the device saw", words.seen + more)]
+    return [*told, *([("should have said", (cause.due,))] if cause.due else [])]
+
+
+def without_cause(run: Run) -> list[Item]:
+    """Return the items that did not pass and that no cause explains."""
+    explained = {name for cause in causes(run) for name in cause.items}
+    return [
+        item
+        for item in run["items"]
+        if item["status"] not in ("PASS", "NOT_APPLICABLE") and item["id"] not in explained
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,5 +192,17 @@ def _cause(family: str, group: list[_Found], used: Collection[str], kinds_of: Ma
         times=len(group),
         alone=sum(len(kinds_of[one]) == 1 for one in {one.item["id"] for one in group}),
         further=tuple(_ROLE.sub("", one.finding["message"]) for one in further),
+        words=_words(first),
+        due=due(first.finding),
         by_library=tuple(advice(first.rule, used)),
     )
+
+
+def _words(found: _Found) -> InWords | None:
+    message = _ROLE.sub("", found.finding["message"])
+    if found.repetition is not None:
+        sample = next(one for one in found.item["samples"] if one["repetition"] == found.repetition)
+        return in_words(sample["calls"], sample["device"], message)
+    # Calls around the repetitions have frames where something was wrong.
+    calls = [call for part in found.item["around"] for call in part["calls"] if "frames" in call]
+    return in_words(calls, [entry for part in found.item["around"] for entry in part["device"]], message)

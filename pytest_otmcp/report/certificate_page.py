@@ -10,7 +10,6 @@ from typing import Any
 
 from ..core.text import counted
 from ..protocols.registry import protocols
-from ..suite.catalogue import all_tasks
 from ..suite.requirements import Level
 from .page import filled
 
@@ -47,18 +46,21 @@ def certificate_page(certificate: Mapping[str, Any], sha256: str, *, signed: boo
             for name, reason in facts["facets"]["not_claimed"].items()
         ],
         limits=told["limits"],
+        wheel=f"{kit[0]['name'].replace('-', '_').replace(' ', '-')}-py3-none-any.whl",
         signed=signed,
     )
 
 
 def _row(protocol: str, facts: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, str]:
     level = told["level"]["awarded"].get(protocol)
-    passed = [item for item in told["counts"]["items"] if protocol in all_tasks()[item].protocols]
+    name = protocols()[protocol].name
+    count = told["items"][name]
     return {
-        "protocol": protocols()[protocol].name,
+        "protocol": name,
         "level": "no level" if level is None else level.capitalize(),
         "meaning": _meaning(level),
-        "passed": f"{len(passed)} of {counted(len(passed), 'item')} that apply",
+        "passed": f"{count['passed']} of {count['of']} {name} items"
+        + (" (the others do not apply)" if count["passed"] < count["of"] else ""),
         "deadline": f"every call within {facts['deadline_s']:g} s",
         "server": " ".join(filter(None, (facts["server"]["name"], facts["server"]["version"]))),
     }
@@ -94,6 +96,7 @@ def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         *([("Walls", " ".join(walls))] if walls else []),
         *([("Challenge", settings["challenge"])] if "challenge" in settings else []),
+        ("Catalogue of requirements", told["catalogue"]),
         ("Seed", str(settings["seed"])),
         ("Run", told["run_id"]),
     ]

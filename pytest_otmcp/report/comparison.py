@@ -9,15 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from . import Item, Run, applied, control_failed, tally
+from ..suite.spoken import spoken, tell
+from . import Item, Run, control_failed, tally
 from .capabilities import Grade, earned
 from .causes import causes
 from .families import applying_families, families
 from .identity import identity
+from .overview import requirements
 
 __all__ = ["Cell", "Column", "Comparison", "Row", "compared"]
 
-_NONE = "—"
 _NOT_APPLICABLE, _NOT_RUN = "n/a", "did not run"
 _NOT_JUDGED = (_NOT_APPLICABLE, _NOT_RUN)
 
@@ -54,7 +55,7 @@ class Column:
 
     name: str
     verdict: Cell
-    applied: str
+    items: str
     passed: str
     identity: tuple[tuple[str, str], ...]
 
@@ -116,7 +117,7 @@ def _column(run: Run, name: str) -> Column:
     return Column(
         name=name,
         verdict=Cell(text=verdict, tone={"CONFORMANT": "good", "NOT CONFORMANT": "bad"}.get(verdict, "open")),
-        applied=applied(run),
+        items=tell(spoken(run)),
         passed=f"{good}/{planned}",
         identity=tuple(identity(run)),
     )
@@ -172,17 +173,20 @@ def _item(item: Item | None) -> Cell:
 
 
 def _rules(runs: Sequence[Run]) -> list[Row]:
-    found = [{f"{one.family}: {one.rule}": one for one in causes(run)} for run in runs]
+    found = [{(one.family, one.rule): one for one in causes(run)} for run in runs]
+    known = [dict(requirements(run)) for run in runs]
     rows = []
-    for name in dict.fromkeys(name for own in found for name in own):
-        about = next(own[name].statement for own in found if name in own)
-        cells = (
-            Cell(text="violated", tone="bad", note=" ".join(own[name].items))
-            if name in own
-            else Cell(text=_NONE, tone="open")
-            for own in found
-        )
-        rows.append(Row(name=name, about=about, cells=tuple(cells)))
+    for family, rule in dict.fromkeys(place for own in found for place in own):
+        cells = []
+        for own, states in zip(found, known, strict=True):
+            if (cause := own.get((family, rule))) is not None:
+                cells.append(Cell(text="violated", tone="bad", note=" ".join(cause.items)))
+            else:
+                cell = states.get(rule, {}).get(family)
+                state = "not asked" if cell is None else cell.state
+                cells.append(Cell(text=state, tone="good" if state == "kept" else "open"))
+        about = next(own[family, rule].statement for own in found if (family, rule) in own)
+        rows.append(Row(name=f"{family}: {rule}", about=about, cells=tuple(cells)))
     return rows
 
 

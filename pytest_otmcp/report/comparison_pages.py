@@ -60,7 +60,7 @@ def markdown(comparison: Comparison) -> str:
 def _about(comparison: Comparison) -> Iterator[list[str]]:
     columns = comparison.columns
     yield ["Verdict", *(_cell(column.verdict) for column in columns)]
-    yield ["Items", *(escape(column.applied) for column in columns)]
+    yield ["Items", *(escape(column.items) for column in columns)]
     yield ["Repetitions passed", *(column.passed for column in columns)]
     for index, (name, _) in enumerate(columns[0].identity):
         yield [name, *(escape(column.identity[index][1]) for column in columns)]

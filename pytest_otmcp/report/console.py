@@ -8,28 +8,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from ..core.matrix import SUITES
+from ..core.matrix import KNOWN_SUITES, REQUIREMENTS
 from ..core.walls import missing
 from ..record.consistency import count_calls
 from ..record.schema import Counted
 from ..record.warnings import said, warnings
-from ..suite.levels import NOT_SHOWN, standings
+from ..suite.levels import in_words, not_shown, standings
 from ..suite.levels import said as level_of
 from ..suite.requirements import catalogue
-from . import Run, applied, applies, least, tally, timing_valid
+from ..suite.spoken import spoken, tell
+from . import Run, applies, least, tally, timing_valid
 from .applying import not_applying, nothing_asked
 from .baseline import Baseline, since
-from .causes import Cause, causes, extent
+from .causes import Cause, causes, extent, rows
 from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
 from .families import apart
 from .findings import beside, subject_keys
+from .overview import requirements
 from .strangers import strangers
 from .text import at_least, count, counted, printable, shortened
 
 __all__ = ["summary"]
 
 _NONE = "---"
+_FEW_ROWS = 8
+"""Rows that get a line each; more of them are in the reports."""
+_BY = {"kept": " by ", "violated": " by ", "not shown": " over ", "not asked": " over "}
 _SHOWN_CAUSES = 10
 _SHOWN_FINDINGS = 2
 _MANY = 4
@@ -69,15 +74,33 @@ def summary(
     if verbosity >= 0:
         lines += [*_levels(run, width), *_narrowed(run, width), *_not_measured(run, width), *_strangers(run, width)]
         lines += _walls(run, width)
+    if verbosity >= -1:
+        lines += _rows(run, width)
     return [*lines, *_verdict(run, width if fold_verdict else None, baseline)]
+
+
+def _rows(run: Run, width: int) -> Iterator[Line]:
+    """Yield what is known of each row, where checks of a few rows alone ran: the verdict is about the whole suite."""
+    asked = {item["id"].partition(".")[0] for item in run["items"]}
+    if len(asked) > _FEW_ROWS or any(item["suite"] != REQUIREMENTS for item in run["items"]):
+        return
+    for name, by_family in requirements(run):
+        if name in asked:
+            states = dict.fromkeys(cell.state for cell in by_family.values())
+            told = [
+                f"{state}{_BY[state]}{', '.join(family for family, cell in by_family.items() if cell.state == state)}"
+                for state in states
+            ]
+            for line in wrapped(f"{name}: {'; '.join(told)}", width, "  "):
+                yield line, "bad" if "violated" in states else "ok" if states.keys() == {"kept"} else "plain"
 
 
 def _suites(run: Run, width: int) -> Iterator[Line]:
     further, applying = apart(run), [item for item in run["items"] if applies(item)]
     wide = max(len(name) for name in ("normal", *(item["suite"] for item in run["items"]), *further)) + 1
-    yield f"{'suite':<{wide}}{'items':>7}{'runs':>10}{'each at least':>16}", "head"
+    yield f"{'suite':<{wide}}{'items':>7}{'runs':>10}{'pass rate at least':>20}", "head"
     within = [item for item in applying if item["family"] not in further]
-    rows = {suite: [item for item in within if item["suite"] == suite] for suite in SUITES}
+    rows = {suite: [item for item in within if item["suite"] == suite] for suite in KNOWN_SUITES}
     rows |= {family: [item for item in applying if item["family"] == family] for family in further}
     for name, items in rows.items():
         if items:
@@ -90,7 +113,7 @@ def _suites(run: Run, width: int) -> Iterator[Line]:
             named = [name for name in red if len(alone) < _MANY or name not in alone]
             if len(named) < len(red):
                 named.append(f"and {len(alone)} for {'; '.join(dict.fromkeys(filter(None, map(beside, items))))}")
-            row += f"{at_least(min(known, default=None), _NONE):>16}{'   ' if red else ''}{' '.join(named)}"
+            row += f"{at_least(min(known, default=None), _NONE):>20}{'   ' if red else ''}{' '.join(named)}"
             yield shortened(row, width), "bad" if red else "plain"
 
 
@@ -125,19 +148,21 @@ def _causes(run: Run, width: int) -> Iterator[Line]:
 
 
 def _told(cause: Cause) -> Iterator[str]:
-    if cause.statement:
-        yield cause.statement
+    if cause.headline:
+        yield cause.headline
     place = "" if cause.repetition is None else f" rep {cause.repetition + 1}/{cause.where['planned']}"
     more = f", {counted(cause.times, 'time')} in all" if cause.times > 1 else ""
     yield f"{cause.where['id']}{place}{more}: {cause.first['message']} [{cause.first['code']}]"
     if told := extent(cause):
         yield told
+    for label, texts in rows(cause):
+        yield f"{label}: {'; '.join(texts) or 'nothing'}"
+    for change in cause.changes:
+        yield f"change: {change}"
     for message in cause.further[:_SHOWN_FINDINGS]:
         yield f"also: {message}"
-    for key in subject_keys(cause.where):
+    for key in subject_keys(cause.where, cause.first):
         yield f"in the subject file: {key}"
-    for change in cause.by_library:
-        yield f"by library: {change}"
 
 
 def _warnings(run: Run, width: int) -> Iterator[Line]:
@@ -182,7 +207,7 @@ def _levels(run: Run, width: int) -> Iterator[Line]:
     told = [level_of(found) for found in standings(catalogue(), run["items"], run["subject"]["adapters"])]
     if not told and run["footer"].get("verdict") == "CONFORMANT":
         # Of a run that failed nobody expects a level.
-        told = [NOT_SHOWN]
+        told = [not_shown(run["items"])]
     for text in told:
         for line in wrapped(f"level: {text}", width, "  "):
             yield line, "plain"
@@ -215,11 +240,13 @@ def _strangers(run: Run, width: int) -> Iterator[Line]:
 def _verdict(run: Run, width: int | None, baseline: Baseline | None) -> Iterator[Line]:
     footer, items = run["footer"], run["items"]
     good, planned = tally(items)
-    note = f"{applied(run)}, {good}/{planned} runs passed"
+    level = in_words(standings(catalogue(), items, run["subject"]["adapters"]))
+    note = f"{tell(spoken(run))}{', ' if level else ''}{level}; {good}/{planned} runs passed"
     if found := len(warnings(items)):
         note += f", {counted(found, 'warning')}"
     changed = since(baseline, run) if baseline is not None else None
-    for told in (nothing_asked(run), footer.get("reason"), changed):
+    field = "a field record, at a real device" if "devices" in run["settings"] else None
+    for told in (field, nothing_asked(run), footer.get("reason"), changed):
         note += f"; {told}" if told else ""
     verdict = footer.get("verdict", "INCOMPLETE")
     line_of_all = printable(f"VERDICT: {verdict} ({note})")

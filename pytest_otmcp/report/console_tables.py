@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ..core.matrix import SUITES
+from ..core.matrix import KNOWN_SUITES
 from ..core.statistics import mean, mean_interval, percentile
 from ..record.consistency import count_calls
 from . import Item, Run, applies, deadlines, durations, least, not_reached, phases, recovered, tally
@@ -26,7 +26,7 @@ _NARROW = 80
 
 def tables(run: Run, width: int) -> Iterator[Line]:
     """Yield the table of each suite that ran, without the items that do not apply."""
-    for suite in SUITES:
+    for suite in KNOWN_SUITES:
         items = [item for item in run["items"] if item["suite"] == suite and applies(item)]
         if items:
             yield "", "plain"

@@ -15,8 +15,7 @@ from markupsafe import escape
 from ..record.warnings import failing
 from . import Item, Run, command
 from .exchange import Event, conversation
-from .findings import beside, subject_keys
-from .plainly import InWords, in_words
+from .findings import beside
 from .text import clipped
 
 __all__ = ["Evidence", "Failure", "failures"]
@@ -49,7 +48,6 @@ class Evidence:
         command: shell command that runs this part again.
         findings: with ``message``, ``requirement``, ``code`` and ``evidence``.
         more_findings: number of findings that are not shown.
-        words: the call in which the fault shows, in plain words; None without calls.
         events: the conversation; see :func:`pytest_otmcp.report.exchange.conversation`.
     """
 
@@ -57,7 +55,6 @@ class Evidence:
     command: str
     findings: list[dict[str, object]]
     more_findings: int
-    words: InWords | None
     events: list[Event | int]
 
     @property
@@ -72,15 +69,10 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """An item that did not pass, with the evidence that is shown, and a note on the evidence that is not.
-
-    Attributes:
-        keys: keys of the subject file that may be why, each with its meaning.
-    """
+    """An item that did not pass, with the evidence that is shown, and a note on the evidence that is not."""
 
     item: Item
     evidence: list[Evidence]
-    keys: list[str]
     note: str
 
 
@@ -119,7 +111,7 @@ def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
         notes.append(f"{missing} of {item['planned']} repetitions did not run.")
     if not limits.conversation:
         notes.append("What was said and seen is in run.json.")
-    return Failure(item=item, evidence=evidence, keys=subject_keys(item), note=" ".join(notes))
+    return Failure(item=item, evidence=evidence, note=" ".join(notes))
 
 
 def _repetition(run: Run, item: Item, alike: Sequence[int], limits: _Limits) -> Evidence:
@@ -153,6 +145,5 @@ def _evidence(
         command=again,
         findings=shown,
         more_findings=len(findings) - len(shown),
-        words=in_words(calls, device),
         events=conversation(calls, device) if limits.conversation else [],
     )

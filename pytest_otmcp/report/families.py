@@ -11,9 +11,19 @@ from typing import cast
 from ..core.matrix import CROSS_PROTOCOL
 from ..protocols.protocol import Colour
 from ..protocols.registry import protocols
+from ..suite.spoken import spoken
 from . import Run, applies
 
-__all__ = ["apart", "applying_families", "benchmark", "css_class", "families", "family_colour", "style_sheet"]
+__all__ = [
+    "apart",
+    "applying_families",
+    "benchmark",
+    "css_class",
+    "families",
+    "family_colour",
+    "spoken_families",
+    "style_sheet",
+]
 
 _CROSS_COLOUR = Colour(light="#cc79a7", dark="#d98fb8")
 _CROSS_CLASS = "cross"
@@ -21,15 +31,25 @@ _CROSS_CLASS = "cross"
 
 def families(run: Run) -> list[str]:
     """Return the families of a run's items, the known ones first."""
-    known = [*(protocol.name for protocol in protocols().values()), CROSS_PROTOCOL]
+    known = _known()
     found = dict.fromkeys(item["family"] for item in run["items"])
     return [name for name in known if name in found] + [name for name in found if name not in known]
+
+
+def _known() -> list[str]:
+    return [*(protocol.name for protocol in protocols().values()), CROSS_PROTOCOL]
 
 
 def applying_families(run: Run) -> list[str]:
     """Return the families of which an item applies to the subject; all of them when none does."""
     applying = {item["family"] for item in run["items"] if applies(item)}
     return [name for name in families(run) if name in applying] or families(run)
+
+
+def spoken_families(run: Run) -> list[str]:
+    """Return the families about the protocols that the subject speaks, also those of which no item ran."""
+    found = spoken(run)
+    return [name for name in dict.fromkeys((*_known(), *found)) if name in found]
 
 
 def apart(run: Run) -> list[str]:

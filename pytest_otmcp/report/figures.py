@@ -8,7 +8,8 @@ drawn, and its file from an earlier run is removed.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,7 +24,7 @@ from .families import benchmark, family_colour
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["contrast", "ink_on", "write_figures"]
+__all__ = ["contrast", "ink_on", "save_figures", "write_figures"]
 
 _WIDTH_IN = 3.5
 _STYLE: dict[Any, Any] = {
@@ -80,25 +81,34 @@ def ink_on(ground: str) -> str:
 
 def write_figures(run: Run, directory: Path) -> None:
     """Write every figure of a run below ``directory``; families that stand apart are in the map of protocols alone."""
-    mpl = _matplotlib()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+    run = benchmark(run)
     figures: dict[str, tuple[Draw, float]] = {
         "latency_boxplot": (_latency_boxplot, 2.9),
         "error_classes": (_error_classes, 2.0),
         "recovery_phases": (_recovery_phases, 2.0),
         "protocol_map": (_protocol_map, 2.2),
     }
+    save_figures({name: (partial(draw, run), height) for name, (draw, height) in figures.items()}, directory)
+
+
+def save_figures(figures: Mapping[str, tuple[Callable[[Axes], bool], float]], directory: Path) -> None:
+    """Write figures below ``directory``.
+
+    Args:
+        figures: name to what draws it, and tells whether there was anything to draw, and its height in inches.
+    """
+    mpl = _matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     directory.mkdir(parents=True, exist_ok=True)
-    run = benchmark(run)
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)
         for name, (draw, height) in figures.items():
             figure = Figure(figsize=(_WIDTH_IN, height), layout="constrained")
             FigureCanvasAgg(figure)
-            drawn = draw(run, figure.add_subplot())
+            drawn = draw(figure.add_subplot())
             for suffix, metadata in ((".pdf", {"CreationDate": None}), (".png", {"Software": None})):
                 path = directory / f"{name}{suffix}"
                 if drawn:

@@ -1,25 +1,30 @@
-"""The HTML report of a run: ``report.html.jinja``, filled. Pure but for the writing."""
+"""The HTML report of a run: ``report.html.jinja``, filled. Pure but for the writing, and the address of the documentation."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from ..core.matrix import SUITES
+from ..core.matrix import KNOWN_SUITES
+from ..core.walls import missing
 from ..record.warnings import warnings
-from ..suite.catalogue import all_tasks
+from ..suite.catalogue import known_tasks
 from ..suite.explanations import item as explained_item
-from ..suite.levels import NOT_SHOWN, said, shown, standings
-from ..suite.requirements import catalogue, requirements
-from . import Item, Run, applied, applies, command, deadlines, overview, tally, timing_valid
-from .applying import nothing_asked
-from .capabilities import earned
-from .causes import causes, extent
+from ..suite.levels import in_words, not_shown, said, shown, standings
+from ..suite.places import address
+from ..suite.requirements import Level, catalogue, requirements
+from ..suite.spoken import of_spoken, spoken, tell
+from . import Item, Run, applies, command, deadlines, overview, tally, timing_valid
+from .applying import not_applying, nothing_asked
+from .capabilities import Grade, earned
+from .causes import Cause, causes, extent, without_cause
+from .causes import rows as told_of
 from .drawings import latencies, recovery, strip, suite_strip
 from .evidence import failures
-from .families import applying_families
+from .families import spoken_families
+from .findings import subject_keys
 from .identity import identity
 from .limits import narrowed
 from .page import filled
@@ -43,7 +48,7 @@ _QUESTIONS = {
 }
 _SENTENCES = {
     "CONFORMANT": "Every item passed every repetition, and the devices agree with what the adapter said.",
-    "NOT CONFORMANT": "The adapter failed. Each failure is below: what was asked, what was said, what the device saw.",
+    "NOT CONFORMANT": "The adapter failed. Each cause is below: what was asked, what was said, what the device saw, what to change.",
     "INDETERMINATE": "This run says nothing about the adapter: the kit itself failed.",
     "INCOMPLETE": "Not everything ran, so this run proves nothing yet.",
 }
@@ -66,21 +71,34 @@ def page(run: Run, certificate: str | None = None) -> str:
     Args:
         certificate: the name of the file beside the report that is the certificate of this run.
     """
+    counts = spoken(run)
+    # What needs an adapter that the subject does not have says nothing about it.
+    run = of_spoken(run)
     verdict = run["footer"].get("verdict", "INCOMPLETE")
+    walls = missing(run["environment"].get("walls", {}))
+    reasons = narrowed(run)
     good, planned = tally(run["items"])
     anchors = _anchors(run["items"])
-    failing = failures(run)
-    families = applying_families(run)
+    failing = {failure.item["id"]: failure for failure in failures(run)}
+    found = causes(run)
+    families = spoken_families(run)
     # A rule of which no column says anything is of a protocol without an adapter.
     rules = [row for row in overview.requirements(run) if not set(families).isdisjoint(row[1])]
     return filled(
         "report.html.jinja",
         run=run,
+        address=address,
         certificate=certificate,
         verdict=verdict,
         tone=_TONES.get(verdict, "open"),
         sentence=_nothing_asked(run) or _SENTENCES.get(verdict, ""),
-        applied=applied(run),
+        partial=verdict == "CONFORMANT" and _partial(run),
+        counts=counts,
+        counted=tell(counts),
+        level=in_words(standings(catalogue(), run["items"], run["subject"]["adapters"])),
+        version=catalogue().version,
+        meanings=[(level.capitalize(), level.meaning) for level in Level],
+        walls=walls,
         deadlines=deadlines(run),
         rules=_rules(rules),
         catalogue=requirements(),
@@ -88,22 +106,24 @@ def page(run: Run, certificate: str | None = None) -> str:
         good=good,
         planned=planned,
         warnings=warnings(run["items"]),
-        narrowed=narrowed(run),
+        narrowed=reasons,
         strangers=strangers(run),
         deviations=overview.deviations(run),
         families=families,
         identity=identity(run),
         capabilities=earned(run),
         levels=_levels(run),
-        no_level=NOT_SHOWN,
-        causes=causes(run),
+        no_level=not_shown(run["items"]),
+        causes=[(cause, told_of(cause), [failing[name] for name in below]) for cause, below in _cards(found)],
         extent=extent,
+        keys=subject_keys,
+        further=[failing[item["id"]] for item in without_cause(run)],
         failures=failing,
         anchors=anchors,
         # The id of a failed item links to its evidence.
-        targets={**anchors, **{one.item["id"]: f"failed-{anchors[one.item['id']]}" for one in failing}},
+        targets={**anchors, **{name: f"failed-{anchors[name]}" for name in failing}},
         statuses=_STATUSES,
-        suites=[_suite(suite, rows) for suite in SUITES if (rows := overview.tasks(run, suite))],
+        suites=[_suite(suite, rows) for suite in KNOWN_SUITES if (rows := overview.tasks(run, suite))],
         explained={item["id"]: _explained(item["id"]) for item in run["items"]},
         requirements=[row for row in rules if not _kept(row)],
         kept_requirements=[row for row in rules if _kept(row)],
@@ -115,6 +135,7 @@ def page(run: Run, certificate: str | None = None) -> str:
         timing_valid=timing_valid(run),
         adapters=overview.adapters(run),
         facts=overview.facts(run),
+        again=lambda cause: command(run, cause.where, cause.repetition or 0),
         rerun=command(run),
     )
 
@@ -126,6 +147,24 @@ def _levels(run: Run) -> list[tuple[str, list[str]]]:
     """Return a line for each protocol with what is missing for its next level; none without the requirement suite."""
     rows = catalogue()
     return [(said(one), shown(one, rows)) for one in standings(rows, run["items"], run["subject"]["adapters"])]
+
+
+_LESS = (Grade.NOT_CLAIMED, Grade.NOT_ASKED, Grade.UNDECIDED)
+
+
+def _partial(run: Run) -> bool:
+    """Tell whether a pass says less than it could: a wall was missing, something narrowed the run, or a capability is not shown."""
+    grades = [one.grade for _, by_family in earned(run) for one in by_family.values()]
+    reasons = len(narrowed(run)) > bool(not_applying(run))
+    return reasons or bool(missing(run["environment"].get("walls", {}))) or any(grade in _LESS for grade in grades)
+
+
+def _cards(found: Iterable[Cause]) -> Iterator[tuple[Cause, list[str]]]:
+    """Yield each cause with the items whose evidence stands below it: those that no cause before it touches."""
+    told = set[str]()
+    for cause in found:
+        yield cause, [name for name in cause.items if name not in told]
+        told.update(cause.items)
 
 
 def _suite(name: str, rows: list[overview.Row]) -> dict[str, Any]:
@@ -146,12 +185,12 @@ def _suite(name: str, rows: list[overview.Row]) -> dict[str, Any]:
 
 def _explained(identifier: str) -> list[tuple[str, tuple[str, ...]]]:
     """Return what is asked and judged in an item; nothing for one that is not in the suite that is installed here."""
-    task = all_tasks().get(identifier)
+    task = known_tasks().get(identifier)
     return [] if task is None else [part for part in explained_item(task).parts if part[0] in _OF_A_ROW]
 
 
 def _kept(row: tuple[str, dict[str, overview.Cell]]) -> bool:
-    return all(cell.state in ("passed", "not claimed") for cell in row[1].values())
+    return all(cell.state in ("kept", "not asked") for cell in row[1].values())
 
 
 def _rules(rows: Iterable[tuple[str, object]]) -> dict[str, str]:

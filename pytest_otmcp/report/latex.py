@@ -17,7 +17,7 @@ from . import Item, Run, adapters, applies, command, durations, least, phases, r
 from .families import apart, benchmark, families
 from .text import count, interval, number, percent_down
 
-__all__ = ["escape", "write_tables"]
+__all__ = ["escape", "row", "tabular", "write_tables"]
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -77,6 +77,7 @@ def _origin(run: Run) -> list[str]:
         f"{kit['name']} {kit['version']}, {state} run {footer.get('digest', 'without digest')}",
         f"subject: {run['subject'].get('name')} {run['subject'].get('version')}",
         f"made by: {command(run)}",
+        r"needs: \usepackage{booktabs,tabularx,array} \newcolumntype{Y}{>{\raggedright\arraybackslash}X}",
     ]
     # A subject's name may hold any characters; a comment must stay one line.
     return ["% " + " ".join(line.split()) for line in lines]
@@ -139,14 +140,16 @@ def _letters(key: str) -> str:
     return "".join(_DIGITS[int(sign)] if sign.isdecimal() else sign for sign in key if sign.isalnum())
 
 
-def _tabular(columns: str, head: Sequence[str], rows: Sequence[str], width: str | None = None) -> list[str]:
+def tabular(columns: str, head: Sequence[str], rows: Sequence[str], width: str | None = None) -> list[str]:
+    """Return the lines of a table with the paper's rules."""
     kind = "tabular" if width is None else "tabularx"
     opening = f"\\begin{{{kind}}}" + ("" if width is None else f"{{{width}}}") + f"{{{columns}}}"
     inner = ["\\toprule", *head, "\\midrule", *rows, "\\bottomrule"]
     return [f"    {opening}", *(f"        {line}" for line in inner), f"    \\end{{{kind}}}"]
 
 
-def _row(*cells: str) -> str:
+def row(*cells: str) -> str:
+    """Return a row of a table."""
     return " & ".join(cells) + r" \\"
 
 
@@ -160,12 +163,12 @@ def _results(run: Run, names: Iterable[str]) -> list[str]:
         tool = _rate(sum(call["ok"] for call in calls), len(calls))
         same_session = _rate(*recovered(_items(run, "recovery", family), "same_session"))
         applying = str(sum(map(applies, items)))
-        rows.append(_row(escape(family), applying, _rate(*tally(items)), tool, *_median_p95(run, items), same_session))
+        rows.append(row(escape(family), applying, _rate(*tally(items)), tool, *_median_p95(run, items), same_session))
     head = [
-        _row("Family", "Tasks", "Task", "Tool", "Med.", "p95", "Rec."),
+        row("Family", "Tasks", "Task", "Tool", "Med.", "p95", "Rec."),
         r"& & (\%) & (\%) & (ms) & (ms) & (\%) \\",
     ]
-    return _tabular("@{}lrrrrrr@{}", head, rows)
+    return tabular("@{}lrrrrrr@{}", head, rows)
 
 
 def _task_breakdown(run: Run) -> list[str]:
@@ -174,9 +177,9 @@ def _task_breakdown(run: Run) -> list[str]:
         items = _items(run, "normal", family)
         if rows and items:
             rows.append("\\midrule")
-        rows += [_row(item["id"], escape(family), escape(item["title"]), *_median_p95(run, [item])) for item in items]
-    head = [_row("ID", "Family", "Operation", "Med. (ms)", "p95 (ms)")]
-    return _tabular("@{}llYrr@{}", head, rows, r"\textwidth")
+        rows += [row(item["id"], escape(family), escape(item["title"]), *_median_p95(run, [item])) for item in items]
+    head = [row("ID", "Family", "Operation", "Med. (ms)", "p95 (ms)")]
+    return tabular("@{}llYrr@{}", head, rows, r"\textwidth")
 
 
 def _fault_results(run: Run) -> list[str]:
@@ -186,10 +189,10 @@ def _fault_results(run: Run) -> list[str]:
         label = ", ".join(escape(code.replace("_", " ")) for code in codes) or _NONE
         median, _ = _median_p95(run, [item])
         rows.append(
-            _row(item["id"], escape(item["family"]), escape(item["title"]), _rate(*tally([item])), median, label)
+            row(item["id"], escape(item["family"]), escape(item["title"]), _rate(*tally([item])), median, label)
         )
-    head = [_row("ID", "Family", "Fault scenario", r"EH (\%)", "Med. (ms)", "Error class")]
-    return _tabular("@{}llYrrl@{}", head, rows, r"\columnwidth")
+    head = [row("ID", "Family", "Fault scenario", r"EH (\%)", "Med. (ms)", "Error class")]
+    return tabular("@{}llYrrl@{}", head, rows, r"\columnwidth")
 
 
 # -- the kit's own ----------------------------------------------------------------------------------------
@@ -199,9 +202,9 @@ def _stress(run: Run) -> list[str]:
     rows = []
     for item in _items(run, "stress"):
         passed = _count(*tally([item]))
-        rows.append(_row(item["id"], escape(item["family"]), escape(item["title"]), passed, *_median_p95(run, [item])))
-    head = [_row("ID", "Family", "Stress scenario", "Passed", "Med. (ms)", "p95 (ms)")]
-    return _tabular("@{}llYrrr@{}", head, rows, r"\columnwidth")
+        rows.append(row(item["id"], escape(item["family"]), escape(item["title"]), passed, *_median_p95(run, [item])))
+    head = [row("ID", "Family", "Stress scenario", "Passed", "Med. (ms)", "p95 (ms)")]
+    return tabular("@{}llYrrr@{}", head, rows, r"\columnwidth")
 
 
 def _recovery(run: Run) -> list[str]:
@@ -213,12 +216,12 @@ def _recovery(run: Run) -> list[str]:
         }
         same, fresh = (_count(*recovered([item], way)) for way in ("same_session", "fresh_session"))
         cells = (medians["detect"], medians["restart"], same, medians["same_session"], fresh, medians["fresh_session"])
-        rows.append(_row(escape(item["family"]), *cells))
+        rows.append(row(escape(item["family"]), *cells))
     head = [
         r"& Detect & Restart & \multicolumn{2}{c}{Same session} & \multicolumn{2}{c}{Fresh session} \\",
-        _row("Family", "(ms)", "(ms)", "ok", "Med. (ms)", "ok", "Med. (ms)"),
+        row("Family", "(ms)", "(ms)", "ok", "Med. (ms)", "ok", "Med. (ms)"),
     ]
-    return _tabular("@{}lrrrrrr@{}", head, rows)
+    return tabular("@{}lrrrrrr@{}", head, rows)
 
 
 def _statistics(run: Run) -> list[str]:
@@ -231,16 +234,16 @@ def _statistics(run: Run) -> list[str]:
     interval = r"95\,\% CI"
     head = [
         r"& & At least & \multicolumn{3}{c}{Mean (ms)} & \multicolumn{2}{c}{Median (ms)} & p95 & Out- \\",
-        _row("ID", "Passed", r"(\%)", "", "SD", interval, "", interval, "(ms)", "liers"),
+        row("ID", "Passed", r"(\%)", "", "SD", interval, "", interval, "(ms)", "liers"),
     ]
-    return _tabular("@{}lrrrrrrrrr@{}", head, rows)
+    return tabular("@{}lrrrrrrrrr@{}", head, rows)
 
 
 def _statistics_row(run: Run, item: Item) -> str:
     times = durations(run, [item])
     rate = least(item)
     outside = outliers(times)
-    return _row(
+    return row(
         item["id"],
         _count(*tally([item])),
         _ms(None if rate is None else percent_down(rate)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..core.matrix import BENCHMARK
 from ..core.statistics import lower_bound
-from ..protocols.external import external_devices
+from ..protocols.external import used
 from . import Run, timing_valid
 from .applying import not_applying
 from .text import at_least
@@ -21,7 +21,8 @@ def narrowed(run: Run) -> list[str]:
     reasons = []
     if not footer["complete"]:
         reasons.append(f"The run is not complete: {footer.get('reason')}.")
-    if missing := [suite for suite in BENCHMARK if suite not in settings.get("suites", BENCHMARK)]:
+    missing = [suite for suite in BENCHMARK if suite not in settings.get("suites", BENCHMARK)]
+    if missing and "devices" not in settings:
         reasons.append(f"These suites were left out: {', '.join(missing)}.")
     # Limits that an option of the kit sets have their own sentences in this function.
     noted = [sentence for sentence in settings.get("narrowed", ()) if "(--otmcp-" not in sentence]
@@ -40,9 +41,11 @@ def narrowed(run: Run) -> list[str]:
         reasons.append(f"Deadlines and windows were multiplied by {settings['time_scale']}.")
     if settings.get("era", "auto") != "auto":
         reasons.append(f"The session was held in the {settings['era']} era of the Model Context Protocol only.")
-    for device in external_devices().values():
-        if (url := settings.get(device.option, "embedded")) != "embedded":
-            reasons.append(f"The {device.noun} was a foreign one, {url}; the kit recorded what passed between.")
+    for key, device, url in used(settings):
+        witnessed = "the kit recorded what passed between"
+        if key in settings.get("devices", {}):
+            witnessed += " and read it by a client of its own: a field record, which has no journal of the device, and shows no level"
+        reasons.append(f"The {device.noun} was a foreign one, {url}; {witnessed}.")
     if not timing_valid(run):
         reasons.append("Items ran in parallel: latencies would measure the neighbours too, and are withheld.")
     return reasons

@@ -10,17 +10,17 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..core.matrix import SUITES
+from ..core.matrix import KNOWN_SUITES
 from ..record.warnings import said, warnings
-from ..suite.levels import NOT_SHOWN, standings
+from ..suite.levels import in_words, not_shown, standings
 from ..suite.levels import said as level_of
 from ..suite.requirements import catalogue
-from . import Item, Run, applied, applies, command, deadlines, tally
+from ..suite.spoken import spoken, tell
+from . import Run, applies, command, deadlines, tally
 from .capabilities import earned
-from .causes import causes, extent
-from .evidence import failures
-from .families import applying_families
-from .findings import beside, cited, faults, subject_keys
+from .causes import causes, extent, rows, without_cause
+from .families import spoken_families
+from .findings import subject_keys
 from .limits import narrowed
 from .overview import deviations, tasks
 from .strangers import strangers
@@ -29,9 +29,6 @@ from .text import printable
 __all__ = ["code", "escape", "summary", "write_markdown"]
 
 _ITEMS = 40
-_ALIKE = 3
-"""Items with a fault of their sessions alone that are still told one by one."""
-_FINDINGS = 3
 _LETTERS = 400
 _SIGNS = {
     "PASS": "✅",
@@ -74,11 +71,12 @@ def summary(run: Run) -> str:
     footer, items = run["footer"], run["items"]
     good, planned = tally(items)
     verdict = footer.get("verdict", "INCOMPLETE")
+    level = in_words(standings(catalogue(), items, run["subject"]["adapters"]))
     name = f"{run['subject'].get('name')} {run['subject'].get('version')}"
     lines = [
         f"## {'✅' if verdict == 'CONFORMANT' else '❌'} {escape(verdict)}: {code(name)}",
         "",
-        f"**{applied(run)}**, **{good}** of **{planned}** repetitions passed.",
+        f"**{tell(spoken(run))}{', ' if level else ''}{level}**; **{good}** of **{planned}** repetitions passed.",
         "",
         *(f"- warning: {code(said(one))}" for one in warnings(items)),
         *(f"- level: {escape(told)}" for told in _levels(run)),
@@ -94,7 +92,7 @@ def summary(run: Run) -> str:
         *_causes(run),
         *_findings(run),
     ]
-    for suite in SUITES:
+    for suite in KNOWN_SUITES:
         lines += _suite(run, suite)
     kit = run["kit"]
     lines += [
@@ -111,11 +109,11 @@ def _table(head: list[str], rows: list[list[str]]) -> list[str]:
 
 def _levels(run: Run) -> list[str]:
     found = standings(catalogue(), run["items"], run["subject"]["adapters"])
-    return list(map(level_of, found)) or [NOT_SHOWN]
+    return list(map(level_of, found)) or [not_shown(run["items"])]
 
 
 def _earned(run: Run) -> list[str]:
-    columns = applying_families(run)
+    columns = spoken_families(run)
     rows = []
     for heading, by_family in earned(run):
         grades = [by_family[family] for family in columns]
@@ -131,50 +129,32 @@ def _causes(run: Run) -> Iterator[str]:
     yield "### Causes"
     yield ""
     for one in found[:_ITEMS]:
-        told = escape(one.statement) or code(one.first["message"])
-        yield f"- **{escape(one.rule)}** {escape(one.family)}, in {escape(' '.join(one.items))}: {told}"
-        if told_of := extent(one):
-            yield f"  - {told_of}"
-        yield from (f"  - by library: {change}" for change in one.by_library)
+        yield f"- **{escape(one.rule)}** {escape(one.family)}: {escape(one.headline)}"
+        yield f"  - {code(one.first['message'])} {escape(one.first['code'])}"
+        for label, texts in rows(one):
+            yield f"  - {label}: {', '.join(code(text) for text in texts) or 'nothing'}"
+        yield from (f"  - change: {change}" for change in one.changes)
+        yield from (f"  - in the subject file: {code(key)}" for key in subject_keys(one.where, one.first))
+        yield f"  - in {escape(' '.join(one.items))}{f'; {told}' if (told := extent(one)) else ''}"
+        yield f"  - again: {code(command(run, one.where, one.repetition or 0))}"
     if len(found) > _ITEMS:
         yield f"- {len(found) - _ITEMS} more causes; see report.html"
     yield ""
 
 
 def _findings(run: Run) -> Iterator[str]:
-    failing = failures(run)
+    """Yield the items that did not pass and have no finding, which is what a cause is made of."""
+    failing = without_cause(run)
     if not failing:
         return
-    yield "### Findings"
+    yield "### Further items that did not pass"
     yield ""
-    alone: dict[str, list[str]] = {}
-    for one in failing:
-        if told := beside(one.item):
-            alone.setdefault(told, []).append(one.item["id"])
-    counted = {name for names in alone.values() if len(names) > _ALIKE for name in names}
-    others = [one.item for one in failing if one.item["id"] not in counted]
-    for item in others[:_ITEMS]:
-        yield from _finding(run, item)
-    if len(others) > _ITEMS:
-        yield f"- {len(others) - _ITEMS} more items did not pass; see report.html"
-    for told, names in alone.items():
-        if len(names) > _ALIKE:
-            yield f"- {len(names)} items failed for {escape(told)}, and show what they are about: {escape(' '.join(names))}"
+    for item in failing[:_ITEMS]:
+        yield f"- **{escape(item['id'])}** {escape(item['status'])}: {code(item['reason'] or item['title'])}"
+        yield f"  - again: {code(command(run, item))}"
+    if len(failing) > _ITEMS:
+        yield f"- {len(failing) - _ITEMS} more; see report.html"
     yield ""
-
-
-def _finding(run: Run, item: Item) -> Iterator[str]:
-    yield f"- **{escape(item['id'])}** {escape(item['status'])}: {escape(item['title'])}"
-    found = faults(item)
-    for fault in found[:_FINDINGS]:
-        yield f"  - {code(fault.finding['message'])} {escape(cited(fault.finding))}"
-    if len(found) > _FINDINGS:
-        yield f"  - {len(found) - _FINDINGS} more findings; see report.html"
-    if not found and item["reason"]:
-        yield f"  - {code(item['reason'])}"
-    yield from (f"  - in the subject file: {code(key)}" for key in subject_keys(item))
-    first = next((sample["repetition"] for sample in item["samples"] if not sample["ok"]), 0)
-    yield f"  - again: {code(command(run, item, first))}"
 
 
 def _suite(run: Run, suite: str) -> list[str]:

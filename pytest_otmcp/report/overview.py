@@ -117,9 +117,9 @@ def requirements(run: Run) -> list[tuple[str, dict[str, Cell]]]:
         broken = {requirement for finding in failing(findings_of(item)) if (requirement := finding["requirement"])}
         for name in [*item.get("requirements", ()), *sorted(broken)]:
             passed = item["status"] == "PASS" or passed_beside(item)
-            state = "violated" if name in broken else "passed" if passed else "not shown"
+            state = "violated" if name in broken else "kept" if passed else "not shown"
             if item["status"] == "NOT_APPLICABLE":
-                state = "not claimed"
+                state = "not asked"
             found.setdefault(name, {}).setdefault(item["family"], {})[item["id"]] = state
     return [
         (name, {family: _cell(items) for family, items in by_family.items()})
@@ -128,10 +128,10 @@ def requirements(run: Run) -> list[tuple[str, dict[str, Cell]]]:
 
 
 def _cell(items: Mapping[str, str]) -> Cell:
-    for state in ("violated", "not shown", "passed"):
+    for state in ("violated", "not shown", "kept"):
         if names := tuple(name for name, own in items.items() if own == state):
             return Cell(state=state, because=names)
-    return Cell(state="not claimed")
+    return Cell(state="not asked")
 
 
 def recovery_rows(run: Run) -> list[tuple[str, ...]]:

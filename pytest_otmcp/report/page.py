@@ -24,20 +24,28 @@ __all__ = ["filled"]
 _CODE = re.compile(r"`([^`]+)`")
 _LONGEST = 4_000
 """Letters of one value on the page at most."""
+_SHORT = 1_000
+"""Letters of a finding on a card."""
 
 
-def filled(name: str, **values: Any) -> str:
-    """Return the page that the template ``name`` of this package makes of these values.
+def filled(name: str, /, *, folder: str = __package__, more_style: str = "", **values: Any) -> str:
+    """Return the page that the template ``name`` makes of these values.
 
     The template gets ``style`` and ``style_hash`` besides.
+
+    Args:
+        folder: the package of the template.
+        more_style: a style sheet of its own, beyond that of all pages.
+        values: what the template names.
     """
-    style = _resource("report.css") + style_sheet()
+    style = _resource("report.css") + style_sheet() + more_style
     # The template is the kit's, the values come from outside: every value is escaped.
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["worded"] = _worded
-    html: str = environment.from_string(_resource(name)).render(
+    environment.filters["short"] = lambda text: clipped(text, _SHORT)
+    html: str = environment.from_string(_resource(name, folder)).render(
         style=Markup(style),  # noqa: S704  (our own file, and the colours of the protocols)
         style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
         **values,
@@ -45,8 +53,8 @@ def filled(name: str, **values: Any) -> str:
     return html
 
 
-def _resource(name: str) -> str:
-    return (resources.files(__package__) / name).read_text(encoding="utf-8")
+def _resource(name: str, folder: str = __package__) -> str:
+    return (resources.files(folder) / name).read_text(encoding="utf-8")
 
 
 def _worded(text: str) -> Markup:

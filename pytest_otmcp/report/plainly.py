@@ -1,20 +1,43 @@
-"""One call of a failed repetition in plain words: what was asked, what the adapter said, what the device saw. Pure."""
+"""One call of a failed repetition in plain words: what was asked, what the adapter said, what the device saw, what was due. Pure."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
 from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
+from ..record.schema import Finding
 from .text import clipped
 
-__all__ = ["InWords", "in_words"]
+__all__ = ["InWords", "due", "in_words"]
 
 _LETTERS = 160
+_LABEL = 160
+"""Letters of a call's name at the beginning of a finding."""
 _SHOWN = 3
+
+_CODES = "an error with code {0}"
+_OUTPUT = "{0} {1}"
+_DUE = {
+    code: [(re.compile(pattern), words) for pattern, words in sentences]
+    for code, sentences in {
+        "not_refused": [(r"expected an error envelope with code (.+?), ", _CODES)],
+        "wrong_error_code": [(r"error code should be (.+?), it is ", _CODES)],
+        "wrong_outcome": [(r"error outcome (?:of \w+ )?should be (.+?), it is ", "an error whose outcome is {0}")],
+        "not_successful": [(r"expected success, got ", "success")],
+        "no_reply": [(r"no reply within the deadline of ([\d.]+ s)", "an answer within {0}")],
+        "other_endpoint": [(r"(meta\.endpoint) should be that of the device, (.+?), it is ", _OUTPUT)],
+        "wrong_value": [
+            (r"\): ([\w './-]+?) should be (.+?), the reply says ", _OUTPUT),
+            (r"\): expected (.+?), the reply says ", "{0}"),
+        ],
+    }.items()
+}
+"""What a finding's sentence says was due, by its code: the kit's own words alone are read, never an adapter's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,11 +50,26 @@ class InWords:
     more_seen: int
 
 
-def in_words(calls: Sequence[Mapping[str, Any]], entries: Sequence[Mapping[str, Any]]) -> InWords | None:
-    """Tell the call in which the fault shows, as far as a record tells: one that did not go as required, else the last one
-    that changed the device, else the first of the task; None without calls."""
+def due(finding: Finding) -> str:
+    """Say what the adapter should have said, where the finding tells; empty where it does not."""
+    for pattern, words in _DUE.get(finding["code"], ()):
+        if found := pattern.search(finding["message"]):
+            return clipped(words.format(*found.groups()), _LETTERS)
+    return ""
+
+
+def in_words(
+    calls: Sequence[Mapping[str, Any]], entries: Sequence[Mapping[str, Any]], message: str = ""
+) -> InWords | None:
+    """Tell the call in which the fault shows, as far as a record tells: the one that a finding names, else one that did not go as
+    required, else the last one that changed the device, else the first of the task; None without calls.
+
+    Args:
+        message: the finding, without the role that it may begin with.
+    """
     if not calls:
         return None
+    calls = [call for call in calls if message.startswith(f"{_label(call)}: ")] or calls
     requests = [entry for entry in entries if entry.get("request") and entry.get("origin", "client") == "client"]
     changing = [entry for entry in requests if entry.get("state_changing")]
     call = next((call for call in calls if not call["ok"]), None)
@@ -64,7 +102,13 @@ def _said(call: Mapping[str, Any]) -> str:
         return f"success, {_json(envelope.get('data'))}"
     error = envelope.get("error")
     message = error.get("message") if isinstance(error, Mapping) else None
-    return f"{call.get('error_code') or 'failure'}, {_json(message)}"
+    outcome = error.get("outcome") if isinstance(error, Mapping) else None
+    return f"{call.get('error_code') or 'failure'}{f' ({outcome})' if outcome else ''}, {_json(message)}"
+
+
+def _label(call: Mapping[str, Any]) -> str:
+    arguments = ", ".join(f"{name}={value!r}" for name, value in (call.get("arguments") or {}).items())
+    return f"{call.get('tool')}({arguments})"[:_LABEL]
 
 
 def _described(entry: Mapping[str, Any]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from ..record.reader import RecordError, open_record
 from . import Run, whole
 from .baseline import Baseline
 
-__all__ = ["NAMES", "reason", "render", "write_all"]
+__all__ = ["NAMES", "clear", "reason", "render", "write_all"]
 
 _MARKUP = {"ok": {"green": True, "bold": True}, "bad": {"red": True, "bold": True}, "head": {"bold": True}, "plain": {}}
 
@@ -73,6 +74,12 @@ def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict
     return failed
 
 
+def clear(directory: Path) -> None:
+    """Remove record and reports of an earlier run: a run that ends before its first item would leave them as if they were its own."""
+    for name in ("run.json", *NAMES):
+        _remove(directory / name)
+
+
 def reason(error: Exception) -> str:
     """Say why a report was not written."""
     if (cure := exhausted(error)) is not None:
@@ -96,7 +103,8 @@ def _remove(path: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
-        path.unlink(missing_ok=True)
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def render(path: Path, terminal: Any, root: Path, baseline: Baseline | None) -> None:
@@ -127,7 +135,9 @@ def render(path: Path, terminal: Any, root: Path, baseline: Baseline | None) -> 
     *first, last = (name for name in ("run.json", *names) if name not in failed)
     texts = [f"{', '.join(first)} and {last} are in {where}" if first else f"{last} is in {where}"]
     if names != NAMES:
-        texts.append(f"tables and figures are of whole runs; all the same: otmcp report {where / path.name}")
+        texts.append(
+            f"tables and figures are skipped for partial runs; to make them anyway: otmcp report {where / path.name}"
+        )
     for text in texts:
         for line in wrapped(text, width, "  "):
             terminal.write_line(line)

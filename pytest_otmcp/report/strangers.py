@@ -36,12 +36,12 @@ def _sentence(at: str, origin: str, program: str | None, found: _Found) -> str:
     where = ", ".join(found.items[:_ITEMS]) + (f" and {len(found.items) - _ITEMS} more" if found.items[_ITEMS:] else "")
     sent = "; ".join([*found.sent][:_SENT]) or "nothing"
     if origin == "former":
-        return f"a process of a session that was over ({program}) still spoke to the device of {at} in {where}: {sent}; it was left out"
+        return f"a process of a session that was over ({program}) still spoke to the device of {at} in {where}: {sent}; ignored"
     # A client that closes its end before the device accepts the connection leaves no process behind that could be asked for: an adapter
     # that gives up while it connects does that as well as a program that scans ports.
     who = (
         f"a stranger ({program})"
         if program is not None
-        else "somebody who had gone before it could be known who it was, the adapter or another program,"
+        else "an unidentified client (gone before its process could be identified)"
     )
-    return f"{who} connected to the device of {at} {counted(found.connections, 'time')} in {where} and sent {sent}; it was left out"
+    return f"{who} connected to the device of {at} {counted(found.connections, 'time')} in {where} and sent {sent}; ignored"

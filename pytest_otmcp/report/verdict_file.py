@@ -6,17 +6,18 @@ The exit code alone does not tell an adapter that lies from one that does not st
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..core.matrix import REQUIREMENTS
 from ..record.warnings import warnings
 from ..suite.levels import standings
 from ..suite.requirements import catalogue
-from . import Run, applies
+from ..suite.spoken import spoken, tell
+from . import Run
 from .causes import causes
 
-__all__ = ["levels", "verdict", "write_verdict"]
+__all__ = ["properties", "verdict", "write_verdict"]
 
 SCHEMA = "otmcp-verdict/1"
 
@@ -24,11 +25,10 @@ SCHEMA = "otmcp-verdict/1"
 def verdict(run: Run) -> dict[str, Any]:
     """Return what a program reads.
 
-    ``levels`` has the level of each protocol, None for none; it is empty without the requirement suite. ``causes`` are the rules that are
+    ``items`` counts those about each protocol that the subject speaks. ``levels`` has the level of each protocol, None for none; it is empty without the requirement suite. ``causes`` are the rules that are
     broken, in the order of the suite, each with the code of its first finding (``cannot_start``, ``wrong_value``, …) and the items that it
     touches. ``narrowed`` says what took something away from the suite.
     """
-    applying = [item for item in run["items"] if applies(item)]
     return {
         "schema": SCHEMA,
         "verdict": run["footer"].get("verdict", "INCOMPLETE"),
@@ -36,14 +36,16 @@ def verdict(run: Run) -> dict[str, Any]:
         "reason": run["footer"].get("reason"),
         "subject": {key: run["subject"][key] for key in ("name", "version", "digest")},
         "kit": {key: run["kit"][key] for key in ("name", "version", "digest", "suite_digest")},
-        "items": {"passed": sum(item["status"] == "PASS" for item in applying), "applied": len(applying)},
-        "levels": levels(run),
+        "catalogue": catalogue().version,
+        "items": {family: asdict(count) for family, count in spoken(run).items()},
+        "levels": _levels(run),
         "causes": [
             {
                 "rule": cause.rule,
                 "protocol": cause.family,
                 "code": cause.first["code"],
                 "message": cause.first["message"],
+                "due": cause.due,
                 "items": list(cause.items),
             }
             for cause in causes(run)
@@ -53,11 +55,19 @@ def verdict(run: Run) -> dict[str, Any]:
     }
 
 
-def levels(run: Run) -> dict[str, str | None]:
+def properties(run: Run) -> dict[str, str]:
+    """Return what a JUnit file says about a run as a whole."""
+    told = {
+        "otmcp_verdict": run["footer"].get("verdict", "INCOMPLETE"),
+        "otmcp_items": tell(spoken(run)),
+        "otmcp_catalogue": catalogue().version,
+    }
+    return told | {f"otmcp_level_{protocol}": level or "none" for protocol, level in _levels(run).items()}
+
+
+def _levels(run: Run) -> dict[str, str | None]:
     """Return the level of each protocol; nothing of a run without the requirement suite, which alone awards one."""
-    if REQUIREMENTS not in run["settings"].get("suites", ()):
-        return {}
-    found = standings(catalogue(), run["items"], sorted(run["subject"]["adapters"]))
+    found = standings(catalogue(), run["items"], dict(sorted(run["subject"]["adapters"].items())))
     return {one.protocol: None if one.level is None else one.level.value for one in found}
 
 

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
-__all__ = ["CANCELLED", "CONTENT_TOO_LARGE", "Exchange", "joined", "joint"]
+__all__ = ["CANCELLED", "REFUSALS", "Answer", "Exchange", "joined", "joint"]
 
 _AND = "+"
 
 CANCELLED = "cancelled"
 """Failure of an exchange that the kit itself has cancelled."""
 
-CONTENT_TOO_LARGE = "content_too_large"
-"""Failure of an exchange whose request the subject has refused by HTTP status 413 (RFC 9110, section 15.5.14)."""
+REFUSALS: Mapping[int, str] = {401: "unauthorized", 403: "forbidden", 413: "content_too_large"}
+"""HTTP statuses by which a subject refuses a request that it has not read (RFC 9110, sections 15.5.2, .4 and .14), each to the failure of such an
+exchange."""
+
+
+Answer = Literal["accept", "decline", "cancel", "no", "text", "none", "silence"]
+"""Accept; decline; cancel; accept with a form that says no, or with a text in the place of a truth value; no answer, which ends the question; no
+answer at all, for which the adapter may wait."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,8 +34,8 @@ class Exchange:
         response: the response frame as read, or None when none came.
         sent_ns: monotonic time just before the request was written.
         received_ns: monotonic time at which the response, or the refusal by HTTP status, had been read, or None.
-        failure: why there is no usable response (``timeout``, ``connection_closed``, ``cancelled``, ``content_too_large``),
-            or None.
+        failure: why there is no usable response (``timeout``, ``connection_closed``, ``cancelled``, or one of :data:`REFUSALS`), or
+            None.
         client_complaint: what the official SDK client objected to in the response, or None.
         asked_ns, returned_ns: monotonic times at which the SDK client was asked, and at which it had processed the
             response; 0 where the time of the client was not measured.

@@ -41,7 +41,7 @@ class Measurement:
     response: bytes | None = None
     sent_ns: int = 0
     received_ns: int | None = None
-    too_large: bool = False
+    refusal: str | None = None
 
 
 @dataclass(slots=True)
@@ -55,6 +55,7 @@ class FrameRecorder:
         too_deep: number of messages that are nested deeper than the client's parser reads.
         overflow: True when a message arrived that is larger than the kit accepts, or one more than it keeps.
         allowance: the room for answers to calls.
+        listing: the room for the pages of one list of tools.
         secrets: are looked for in every frame.
         list_changes: how often the adapter has announced that its tools have changed.
     """
@@ -66,9 +67,9 @@ class FrameRecorder:
     too_deep: int = 0
     overflow: bool = False
     allowance: Allowance = field(default_factory=Allowance)
+    listing: Allowance = field(default_factory=Allowance)
     secrets: SecretSearch = field(default_factory=SecretSearch)
     list_changes: int = 0
-    _listing: Allowance = field(default_factory=Allowance)
     _answered: set[object] = field(default_factory=set)
     _pending: dict[int, Measurement] = field(default_factory=dict)
     _by_request_id: dict[object, Measurement] = field(default_factory=dict)
@@ -95,12 +96,12 @@ class FrameRecorder:
             measurement.request = frame
             measurement.sent_ns = now
 
-    def refused_as_too_large(self, now: int, identifier: Any) -> None:
-        """Note that a request was refused for its size before anybody has read it, so that there is no frame in answer."""
+    def refused(self, now: int, identifier: Any, failure: str) -> None:
+        """Note that a request was refused by HTTP status before anybody has read it, so that there is no frame in answer."""
         measurement = self._by_request_id.pop(identifier, None)
         if measurement is not None:
             measurement.received_ns = now
-            measurement.too_large = True
+            measurement.refusal = failure
 
     def accepts(self, frame: bytes) -> bool:
         """Tell whether a frame is to be read, before a parser sees it; one that is too large is an overflow."""
@@ -128,7 +129,7 @@ class FrameRecorder:
             return error
         if isinstance(message, JSONRPCResponse | JSONRPCError):
             measurement = self._by_request_id.pop(message.id, None)
-            if not (self._listing if measurement is None else self.allowance).has_room_for(frame):
+            if not (self.listing if measurement is None else self.allowance).has_room_for(frame):
                 self.overflow = True
             elif measurement is not None:
                 measurement.response = frame

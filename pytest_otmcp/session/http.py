@@ -22,7 +22,9 @@ from httpcore2._backends.anyio import AnyIOStream
 from mcp.client.streamable_http import streamable_http_client
 
 from ..core.exhaustion import exhausted
+from .caller import Caller
 from .canary import STDERR, STDOUT
+from .exchange import REFUSALS
 from .frames import FrameRecorder
 from .limits import MAX_FRAME_BYTES, TOO_LARGE
 from .process import StopReport, SubjectProcess
@@ -55,7 +57,9 @@ class HttpTransport:
         url: str,
         recorder: FrameRecorder,
         exit_grace_s: float,
+        *,
         walls: Walls | None = None,
+        caller: Caller | None = None,
     ) -> None:
         self.process: SubjectProcess | None = None
         self.stop_report: StopReport | None = None
@@ -66,6 +70,7 @@ class HttpTransport:
         self._recorder = recorder
         self._exit_grace_s = exit_grace_s
         self._walls = walls
+        self._caller = caller
 
     @property
     def died(self) -> bool:
@@ -98,7 +103,7 @@ class HttpTransport:
         )
         try:
             await self._wait_until_accepting(self.process)
-            recording = _RecordingTransport(self._recorder, self._walls)
+            recording = _RecordingTransport(self._recorder, self._walls, self._caller)
             async with (
                 httpx2.AsyncClient(transport=recording, timeout=_TIMEOUT) as client,
                 streamable_http_client(self._url, http_client=client) as streams,
@@ -174,13 +179,14 @@ class _Backend(httpcore2.AnyIOBackend):
 class _RecordingTransport(httpx2.AsyncBaseTransport):
     """HTTP transport that hands every JSON-RPC message to the recorder."""
 
-    def __init__(self, recorder: FrameRecorder, walls: Walls | None) -> None:
+    def __init__(self, recorder: FrameRecorder, walls: Walls | None, caller: Caller | None) -> None:
         # Both processes are on this machine, so proxies of the environment do not apply.
         # With the library's limit of 100 connections further calls would wait in the kit, and the adapter be blamed for it.
         self._network = httpx2.AsyncHTTPTransport(trust_env=False, limits=httpx2.Limits(max_connections=None))
         # The library has a place for a network of one's own in what it is made of, and none in its own interface.
         self._network._pool._network_backend = _Backend(walls)
         self._recorder = recorder
+        self._caller = caller
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
         body = await request.aread()
@@ -192,16 +198,21 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
                 self._recorder.sent(time.monotonic_ns(), body, asked, message.get("params"))
         # What is compressed could neither be recorded as it is read nor be limited: a few kilobytes may become gigabytes.
         request.headers["accept-encoding"] = "identity"
+        if self._caller is not None:
+            request.headers.update(self._caller.headers())
         response = await self._network.handle_async_request(request)
-        if response.status_code == httpx2.codes.CONTENT_TOO_LARGE:
-            self._recorder.refused_as_too_large(time.monotonic_ns(), asked)
+        refusal = REFUSALS.get(response.status_code)
+        if refusal is not None:
+            self._recorder.refused(time.monotonic_ns(), asked, refusal)
         response.headers.pop("content-encoding", None)
         for name, value in response.headers.raw:
             self._recorder.secrets.look(value, lambda name=name: f"the header {name.decode('latin-1')} of an answer")  # type: ignore[misc]
         # As the client takes them: what it reads is recorded, and limited.
         kind = response.headers.get("content-type", "").lower()
         assert isinstance(response.stream, httpx2.AsyncByteStream)
-        if kind.startswith(("application/json", "text/event-stream")):
+        if refusal is not None:
+            response.stream = _Unread(response.stream)
+        elif kind.startswith(("application/json", "text/event-stream")):
             length = response.headers.get("content-length", "")
             response.stream = _RecordedBody(
                 response.stream,
@@ -213,6 +224,20 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
 
     async def aclose(self) -> None:
         await self._network.aclose()
+
+
+class _Unread(httpx2.AsyncByteStream):
+    """Body of a refusal, which is no message of MCP: what matters is the status."""
+
+    def __init__(self, stream: httpx2.AsyncByteStream) -> None:
+        self._stream = stream
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        return
+        yield b""
+
+    async def aclose(self) -> None:
+        await self._stream.aclose()
 
 
 class _RecordedBody(httpx2.AsyncByteStream):

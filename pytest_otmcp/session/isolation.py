@@ -25,7 +25,7 @@ from ..core.text import one_line
 from ..core.walls import AUTO, NETWORK, OFF, REQUIRE, WALLS, Wall
 from .keeping import Keeper
 
-__all__ = ["Isolation", "Walls"]
+__all__ = ["Isolation", "Walls", "remedy"]
 
 _FOLDERS = ("/tmp", "/var/tmp")  # noqa: S108  (not used: the adapter gets empty ones in their place)
 _EXACT = ("/run/", "/dev/")
@@ -67,6 +67,7 @@ class Isolation:
         self._descriptors: list[int] = []
         self._view = self._used = False
         self._hand: socket.socket | None = None
+        self._cables: list[Isolation] = []
         self.keeper = Keeper(self._words)
         if mode == OFF:
             self._miss(WALLS, "they were switched off")
@@ -107,7 +108,7 @@ class Isolation:
         """
         number, step = why
         told = f" ({os.strerror(number)})" if number else ""
-        sentence = f"this machine refuses {step}{told}; {_remedy()}"
+        sentence = f"this machine refuses {step}{told}; {remedy()}"
         if self._mode == REQUIRE:
             raise UsageError(one_line(f"isolation is required, and {sentence}"))
         self._miss((NETWORK,) if wall == "network" else _OF_A_VIEW, sentence)
@@ -116,24 +117,44 @@ class Isolation:
         for wall in walls:
             self._missing[wall][sentence] = None
 
-    def walls(self, *, outside: str = "") -> Walls | None:
+    def walls(self, *, outside: str = "", cable: bool = False) -> Walls | None:
         """Return the walls around a device's adapters; None where there are none.
 
         Args:
             outside: why these need the network of the machine; empty where they do not.
+            cable: they reach the device by a cable, which needs a network of its own even where walls were switched off.
         """
         self._used = True
+        if cable:
+            return self._around_cable()
         if outside and self._network is not None:
             self._miss((NETWORK,), outside)
         network = self._network is not None and not outside
         return Walls(isolation=self, network=network) if network or self._view else None
 
+    def _around_cable(self) -> Walls | None:
+        """Return walls with a network for one cable alone: who may open packet sockets reads all that passes in a network."""
+        own = Isolation(AUTO)
+        self._cables.append(own)
+        if self._mode == OFF:
+            own._view = False
+        walls = own.walls()
+        return replace(walls, raw=True) if walls is not None and walls.network else None
+
     def account(self) -> dict[Wall, str | None]:
         """Return for each wall None, if it stood around every adapter, or why it did not; nothing before the first adapter."""
-        return {wall: "; ".join(why) or None for wall, why in self._missing.items()} if self._used else {}
+        every = (self, *self._cables)
+        return (
+            {wall: "; ".join({why: None for one in every for why in one._missing[wall]}) or None for wall in WALLS}
+            if self._used
+            else {}
+        )
 
     def close(self) -> None:
         """Give the namespaces up; they end with the processes in them."""
+        for cable in self._cables:
+            cable.close()
+        self._cables = []
         self.keeper.close()
         if self._hand is not None:
             self._hand.close()
@@ -192,11 +213,13 @@ class Walls:
     Attributes:
         isolation: has built them.
         network: the device and its adapters have the network of the run, and no other.
+        raw: that network is theirs alone, and they may open packet sockets in it.
         reads, writes: paths that are open to the adapter, beside what it needs to start.
     """
 
     isolation: Isolation
     network: bool
+    raw: bool = False
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
 
@@ -229,7 +252,7 @@ class Walls:
         view = self.isolation.view({*self.reads, *meant, *_needed(command, env, cwd)}, self.writes)
         if view is not None:
             view["layers"] = sorted(folders - {"/"})
-        return {"network": self.network, "view": view}
+        return {"network": self.network, "raw": self.raw, "view": view}
 
     def saw(self, request: Mapping[str, Any], namespaces: Mapping[str, int]) -> None:
         """Make sure that the adapter that was started so is in the namespaces that it was to have.
@@ -267,9 +290,12 @@ def _alone() -> bool:
     return [name for _, name in socket.if_nameindex()] == ["lo"]
 
 
-def _remedy() -> str:
-    for name, value, remedy in _REMEDIES:
+def remedy(
+    otherwise: str = "a container without a network has such walls of its own: `podman run --network none`",
+) -> str:
+    """Return what makes this machine allow namespaces; ``otherwise`` where no setting forbids them."""
+    for name, value, setting in _REMEDIES:
         with suppress(OSError):
             if Path("/proc/sys", name).read_text(encoding="ascii").strip() == value:
-                return remedy
-    return "a container without a network has such walls of its own: `podman run --network none`"
+                return setting
+    return otherwise

@@ -11,8 +11,8 @@ ended that should not have: whatever has no watcher is killed then. A keeper tha
 a line that says which of them the machine refuses, and with descriptors of a user namespace, a network namespace, and a
 socket for sockets of that network.
 
-The kit writes to the watcher a line with ``{"command", "env", "cwd", "network", "view"}``, then single bytes, and reads lines.
-``network`` tells whether the adapter is put into the network of its own, ``view`` which paths the walls leave open to it: a process
+The kit writes to the watcher a line with ``{"command", "env", "cwd", "network", "raw", "view"}``, then single bytes, and reads lines.
+``network`` tells whether the adapter is put into the network of its own, ``raw`` whether it may open packet sockets there, ``view`` which paths the walls leave open to it: a process
 between watcher and adapter is then the first of a namespace of processes, and when that is killed, the kernel kills all others.
 
 =====================  ==========================================================================================
@@ -289,7 +289,9 @@ class _Watcher:
         finally:
             os._exit(0)
 
-    def _become_adapter(self, fail: int, walled: bool, command: list[str], env: dict[str, str], cwd: str) -> NoReturn:
+    def _become_adapter(
+        self, fail: int, walled: bool, raw: bool, command: list[str], env: dict[str, str], cwd: str
+    ) -> NoReturn:
         try:
             os.setsid()
             die_with_parent()
@@ -298,7 +300,7 @@ class _Watcher:
                 os.dup2(descriptor, target)
             os.chdir(cwd)
             if walled:
-                walls.give_up_privileges()
+                walls.give_up_privileges(raw=raw)
             os.execvpe(command[0], command, env)  # noqa: S606
         except OSError as error:
             _fail(fail, failed=error.errno)

@@ -189,7 +189,9 @@ class Watcher:
         used = _PLAIN if walls is None else walls.keeper
         directory = os.getcwd() if cwd is None else str(cwd)
         request: dict[str, Any] = {"command": list(command), "env": dict(env), "cwd": directory}
-        request |= {"network": False, "view": None} if walls is None else walls.request(command, env, directory)
+        request |= (
+            {"network": False, "raw": False, "view": None} if walls is None else walls.request(command, env, directory)
+        )
         reader, writer, event = await cls._ask(used, request, streams)
         if walls is not None and "refused" in event:
             walls.refused(event["refused"])

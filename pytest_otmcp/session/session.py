@@ -27,8 +27,9 @@ from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.exhaustion import exhausted
 from ..core.tool_entry import TWICE
 from ..record.schema import Footprint, ToolsChanged
+from .caller import Caller
 from .canary import SecretSearch
-from .exchange import CANCELLED, CONTENT_TOO_LARGE, Exchange
+from .exchange import CANCELLED, Exchange
 from .footprint import command_lines, footprint
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
@@ -36,6 +37,7 @@ from .isolation import Walls
 from .limits import TOO_LARGE, Allowance
 from .output_schema import OutputCheck
 from .pace import Pace
+from .person import Person
 from .process import StopReport, subject_environment
 from .starvation import LOOK_S, Patience
 from .stdio import StdioTransport
@@ -59,6 +61,8 @@ class SessionOptions:
         secrets: what the adapter must not tell.
         work: the adapter's working folder; empty where it has none. Sentences call it ``{work}``, as a subject file does.
         walls: around the adapter, or None for none.
+        person: answers its questions; None for a client that cannot be asked.
+        caller: makes the headers by which an adapter over HTTP knows who calls; None for an adapter that asks nobody.
     """
 
     era: str = "auto"
@@ -70,6 +74,8 @@ class SessionOptions:
     secrets: SecretSearch = field(default_factory=SecretSearch)
     work: str = ""
     walls: Walls | None = None
+    person: Person | None = None
+    caller: Caller | None = None
 
 
 class McpSession:
@@ -91,7 +97,14 @@ class McpSession:
             self._transport = StdioTransport(command, env, cwd, self._recorder, options.exit_grace_s, options.walls)
         else:
             self._transport = HttpTransport(
-                command, env, cwd, options.url, self._recorder, options.exit_grace_s, options.walls
+                command,
+                env,
+                cwd,
+                options.url,
+                self._recorder,
+                options.exit_grace_s,
+                walls=options.walls,
+                caller=options.caller,
             )
         self._client: Client | None = None
         self._owner: asyncio.Task[None] | None = None
@@ -187,7 +200,12 @@ class McpSession:
         # anyio's cancel scopes must be left by the task that entered them: this task owns the client from
         # beginning to end, and other tasks may open and close the session.
         try:
-            async with Client(self._transport.streams(), cache=None, mode=self._options.era) as client:
+            async with Client(
+                self._transport.streams(),
+                cache=None,
+                mode=self._options.era,
+                elicitation_callback=self._options.person,
+            ) as client:
                 # See output_schema: the check of results is made elsewhere, with a limit.
                 client.session.validate_tool_result = _unchecked  # type: ignore[method-assign]
                 await self._list_tools(client)
@@ -256,13 +274,17 @@ class McpSession:
         Raises:
             KitError: the result could not be checked against the tool's ``outputSchema``.
         """
-        asked = dict(arguments)
-        return await self._exchange(
+        asked, person = dict(arguments), self._options.person
+        brought = {} if person is None else person.brought()
+        exchange = await self._exchange(
             tool,
             asked,
-            lambda client, meta: client.call_tool(tool, asked, read_timeout_seconds=timeout_s, meta=meta),
+            lambda client, meta: client.call_tool(tool, asked, read_timeout_seconds=timeout_s, meta=meta, **brought),
             cancel,
         )
+        if person is not None:
+            person.left_open(exchange.response)
+        return exchange
 
     async def list_anew(self, *, timeout_s: float) -> str:
         """Ask for the list of tools again and return the digest of its entries, after a blank that of their order, and after another
@@ -273,6 +295,8 @@ class McpSession:
         """
         entries: list[str] = []
         cursor: str | None = None
+        # The lists of before are not kept: a session may be asked hundreds of times.
+        self._recorder.listing.renew()
         try:
             async with asyncio.timeout(timeout_s):
                 while self._client is not None:
@@ -282,7 +306,8 @@ class McpSession:
                     if cursor is None:
                         return f"{_digests(entries)}{' announced' if self._recorder.list_changes else ''}"
         except (MCPError, TimeoutError, RuntimeError, ValueError) as error:
-            raise SubjectError("session_lost", f"tools/list was not answered: {error}") from None
+            why = f"the adapter sent {TOO_LARGE}" if self.overflow else await self.death_note() if self.died else error
+            raise SubjectError("session_lost", f"tools/list was not answered: {why}") from None
         raise SubjectError("session_lost", await self.death_note())
 
     async def tools_changed(self) -> ToolsChanged | None:
@@ -358,8 +383,8 @@ class McpSession:
                 if measured.response is None:
                     failure = CANCELLED
             except (MCPError, TimeoutError) as error:
-                if measured.too_large:
-                    failure = CONTENT_TOO_LARGE
+                if measured.refusal is not None:
+                    failure = measured.refusal
                 elif measured.response is None:
                     timed_out = isinstance(error, TimeoutError) or error.code == -32001
                     failure = "timeout" if timed_out and not self.died else "connection_closed"

@@ -43,7 +43,9 @@ _AT_FDCWD, _AT_RECURSIVE, _AT_EMPTY_PATH, _FROM_EMPTY_PATH = -100, 0x8000, 0x100
 _CLONE, _CLOEXEC = 0x1, os.O_CLOEXEC
 _READ_ONLY, _NO_SETUID = 0x1, 0x2
 
-_NO_NEW_PRIVS, _DROP_FROM_BOUNDS = 38, 24
+_NO_NEW_PRIVS, _DROP_FROM_BOUNDS, _AMBIENT, _RAISE = 38, 24, 47, 2
+_OF_A_CABLE, _CAPABILITIES_3 = (12, 13), 0x20080522
+"""CAP_NET_ADMIN, without which some libraries set no interface up, and CAP_NET_RAW."""
 _GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 0x1
 
 _TEMPORARY = ("/tmp", "/var/tmp", "/run")  # noqa: S108
@@ -196,12 +198,28 @@ def enclose(
     os.chdir(cwd)
 
 
-def give_up_privileges() -> None:
-    """Have what this process executes run without the privileges that it has in its namespaces, and never gain any (capabilities(7))."""
+def give_up_privileges(*, raw: bool = False) -> None:
+    """Have what this process executes run without the privileges that it has in its namespaces, and never gain any (capabilities(7)).
+
+    Args:
+        raw: it keeps those of opening packet sockets and of setting interfaces up in its network, which holds nothing else.
+    """
     _libc.prctl(_NO_NEW_PRIVS, ctypes.c_ulong(1), 0, 0, 0)
     for capability in range(64):
         # It fails beyond the last one that the kernel knows.
-        _libc.prctl(_DROP_FROM_BOUNDS, ctypes.c_ulong(capability), 0, 0, 0)
+        if not (raw and capability in _OF_A_CABLE):
+            _libc.prctl(_DROP_FROM_BOUNDS, ctypes.c_ulong(capability), 0, 0, 0)
+    if raw:
+        # An ordinary user's program has only what is handed on to it.
+        own = sum(1 << capability for capability in _OF_A_CABLE)
+        _call(
+            "packet sockets",
+            "capset",
+            struct.pack("=Ii", _CAPABILITIES_3, 0),
+            struct.pack("=6I", own, own, own, 0, 0, 0),
+        )
+        for capability in _OF_A_CABLE:
+            _libc.prctl(_AMBIENT, ctypes.c_ulong(_RAISE), ctypes.c_ulong(capability), 0, 0)
 
 
 def socket_paths() -> Iterator[str]:

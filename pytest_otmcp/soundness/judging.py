@@ -52,7 +52,7 @@ async def judge(plant: Plant, warm: WarmStart, defect: Defect) -> Seen:
         KitError: a mock device could not be started.
     """
     program = ("-P", "-m", DEFECTS, defect.id)
-    command = (sys.executable, *program) if defect.cold else (*warm.python, *program)
+    command = (sys.executable, *program) if defect.cold else (*warm.words(defect.protocol), *program)
     genuine = sooner(named_subject() if defect.named else reference_subject(), _SOONER, whole_calls=defect.waits)
     subject = with_command(warm.subject(genuine), defect.protocol, command)
     bench = AmongGenuine(subject, plant, defect.protocol, IMPATIENT if defect.waits else 1.0)

@@ -11,7 +11,7 @@ from .model import Adapter, Binding, Connect, Function
 
 __all__ = ["addressed_by", "carries_address", "check_addresses", "mentions_address"]
 
-_PLACEHOLDER = re.compile(r"\{(host|port|url|serial|\w+_port)(:int)?\}")
+_PLACEHOLDER = re.compile(r"\{(host|port|url|serial|interface|device_mac|device_ip|\w+_port)(:int)?\}")
 _NO_DEVICE = re.compile(r"\{(http|local)_port\}")
 """The adapter's own ports."""
 

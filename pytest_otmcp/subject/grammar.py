@@ -6,6 +6,7 @@ The keys about an adapter's operations come from the description of its protocol
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -91,6 +92,126 @@ _RETIMED = Named(
                 SECONDS, "Time within which a call to a silent device has ended with these settings.", required=True
             ),
             "attempts": Key(COUNT, "How often such a call sends its request, where it is one that reads."),
+        }
+    ),
+)
+_FIELDS = {
+    "time": "its time, RFC 3339 in UTC",
+    "principal": "who has called",
+    "tool": "the tool's name",
+    "decision": "whether it was allowed",
+    "outcome": "what became of it",
+}
+_AUDIT = Named(
+    "audit",
+    Table(
+        {
+            "path": Key(TEXT, "The file with the records, each a JSON object on a line: {work}/NAME."),
+            "records": Key(_ARGV, "A command that prints the records so, where the log is no such file."),
+            "verify": Key(
+                _ARGV,
+                "A command that ends with 0 for a log that is whole, and otherwise for any other; {anchor} is what the newest answer has "
+                "at 'anchor'.",
+            ),
+            "anchor": Key(PATH, "JMESPath in an answer: the name of its record.", default="meta.audit_id"),
+            "digest": Key(FLAG, "Records have digests of the values that are written.", default=False),
+            "fields": Key(
+                Table(
+                    {
+                        name: Key(PATH, f"JMESPath in a record: {meaning}.", default=name)
+                        for name, meaning in _FIELDS.items()
+                    }
+                ),
+                "What is where in a record.",
+                default={name: name for name in _FIELDS},
+            ),
+        },
+        rules=(
+            Rule(
+                holds=lambda table: ("path" in table) != ("records" in table),
+                objection="expected 'path' or 'records', which say where the records are",
+                described={"oneOf": [{"required": ["path"]}, {"required": ["records"]}]},
+            ),
+            Rule(
+                holds=lambda table: re.fullmatch(r"\{work\}/[^/]+", str(table.get("path", "{work}/x"))) is not None,
+                objection="expected {work}/NAME: the kit changes this file, and it must be nobody else's",
+                at="path",
+                described={"properties": {"path": {"pattern": r"^\{work\}/[^/]+$"}}},
+            ),
+        ),
+    ),
+)
+_APPROVAL = Named(
+    "approval",
+    Table(
+        {
+            "target": Key(TEXT, "A target with limits that is written with a person's approval alone.", required=True),
+            "by": Key(
+                OneOf(("client", "outside")), "Who is asked: the MCP client, or somebody else.", default="client"
+            ),
+            "form": Key(
+                MapOf(ANYTHING), "What the client fills into the form for a yes, beside truth values.", default={}
+            ),
+            "approve": Key(_ARGV, "A command that approves the request {approval}, for 'outside'."),
+            "decline": Key(_ARGV, "A command that declines it, for the console."),
+            "id": Key(
+                PATH,
+                "JMESPath in a refusal, or in its text where that is no JSON: the request's name.",
+                default="error.details.approval_id",
+            ),
+            "expires_s": Key(SECONDS, "Seconds after which an approval has ended."),
+        },
+        rules=(
+            Rule(
+                holds=lambda table: table.get("by") != "outside" or "approve" in table,
+                objection="by = 'outside' needs 'approve', the command that approves a request",
+                described={
+                    "if": {"properties": {"by": {"const": "outside"}}, "required": ["by"]},
+                    "then": {"required": ["approve"]},
+                },
+            ),
+        ),
+    ),
+)
+
+
+def _approves_a_number(table: Mapping[str, Any]) -> bool:
+    target = table.get("approval", {}).get("target")
+    return target is None or {"lowest", "highest"} <= table.get("limits", {}).get(target, {}).keys()
+
+
+_SECURED = Named(
+    "governed",
+    Table(
+        {
+            **_LAUNCH,
+            "allowed": Key(
+                strings("names of targets", filled=True),
+                "Targets that the policy lets the caller write; as for 'bounded'.",
+                required=True,
+            ),
+            "limits": Key(MapOf(_LIMIT), "Target to its limits in the policy, in the device's own terms.", default={}),
+            "viewer": Key(MapOf(STRING), "Further environment with which the caller may write nothing."),
+            "audit": Key(_AUDIT, "Where the audit records are, and what is in them."),
+            "approval": Key(_APPROVAL, "What needs a person's approval, and how it is given."),
+        },
+        rules=(
+            Rule(
+                holds=_approves_a_number,
+                objection="the target of 'approval' needs 'lowest' and 'highest' in 'limits': the kit writes numbers within and beyond",
+                described={},
+            ),
+        ),
+    ),
+)
+_TOKENS = Named(
+    "tokens",
+    Table(
+        {
+            **_LAUNCH,
+            "url": Key(TEXT, "The MCP endpoint, and the audience of tokens: {audience}.", required=True),
+            "writes": Key(TEXT, "The scopes, with blanks in between, of a caller who may write.", required=True),
+            "reads": Key(TEXT, "The scopes of a caller who may read and not write."),
         }
     ),
 )
@@ -194,6 +315,19 @@ _RANGE = Table(
 _INPUT_TYPE = Named("input_type", OneOf(("string", "int", "float", "bool", "hex", "json", "list")))
 
 
+def _secured_by(policies: tuple[str, ...]) -> Kind:
+    return Named(
+        "secure",
+        Table(
+            {
+                **_LAUNCH,
+                "policy": Key(OneOf(policies), "The security policy that the launch configures."),
+                "mode": Key(OneOf(("Sign", "SignAndEncrypt")), "The message security mode that it configures."),
+            }
+        ),
+    )
+
+
 def subject_file(protocols: Mapping[str, OtProtocol]) -> Table:
     """Return the grammar of a subject file whose adapters speak these protocols, by key."""
     deviation = Table(
@@ -250,7 +384,7 @@ def adapter_table(protocol: OtProtocol) -> Table:
         {
             "command": Key(
                 _ARGV,
-                "The argument vector; {host} {port} {url} {NAME_port} {serial} {python} {dir} {work} {http_port} {local_port} are "
+                "The argument vector; {host} {port} {url} {NAME_port} {serial} {interface} {device_mac} {device_ip} {python} {dir} {work} {http_port} {local_port} are "
                 "replaced.",
             ),
             "cwd": Key(TEXT, "Working directory, relative to this file."),
@@ -285,6 +419,24 @@ def adapter_table(protocol: OtProtocol) -> Table:
             "retimed": Key(
                 _RETIMED,
                 "What the launch with other time limits, or other numbers of repetitions, has beyond that with writes enabled.",
+            ),
+            "governed": Key(
+                _SECURED,
+                "What the launch with a policy, and what the adapter has of an audit log and approvals, has beyond that with writes enabled.",
+            ),
+            "tokens": Key(
+                _TOKENS,
+                "What the launch over HTTP for callers with tokens has beyond that with writes enabled; {issuer} is a URL, {issuer_keys} a file.",
+            ),
+            **(
+                {
+                    "secure": Key(
+                        _secured_by(protocol.policies) if protocol.policies else _VARIANT,
+                        "What the launch for the secure form of the protocol has beyond that with writes enabled; {ca} {cert} {key} are files.",
+                    )
+                }
+                if protocol.secure
+                else {}
             ),
             **(
                 {

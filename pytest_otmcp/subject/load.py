@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 from .. import __version__
 from ..core import files
 from ..core.errors import UsageError
-from ..protocols.bounds import Bounds, Times
+from ..protocols.bounds import Bounds, Governance, Scopes, Times
 from ..protocols.protocol import LAUNCHES, RECOVERY
 from ..protocols.registry import protocols
 from .addressing import check_addresses
@@ -33,9 +33,12 @@ from .handles import check_handles
 from .kinds import Refusal
 from .model import (
     BOUNDED,
+    GOVERNED,
     READ_ONLY,
     READ_WRITE,
     RETIMED,
+    SECURE_FORM,
+    WITH_TOKENS,
     Adapter,
     Answering,
     Binding,
@@ -43,10 +46,12 @@ from .model import (
     Connect,
     Deviation,
     Function,
+    Governed,
     Openings,
     OutcomeRule,
     Ready,
     Subject,
+    Tokens,
     Variant,
     environment_names,
 )
@@ -158,9 +163,49 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
         start_timeout_s=float(table["start_timeout_s"]),
         bounds=Bounds.of_record(table[BOUNDED]) if BOUNDED in table else None,
         times=Times.of_record(table[RETIMED]) if RETIMED in table else None,
+        governed=_governed(table[GOVERNED]) if GOVERNED in table else None,
+        secured={
+            member: table[SECURE_FORM][name] for name, member in _TOLD_OF.items() if name in table.get(SECURE_FORM, {})
+        },
+        tokens=_tokens(table[WITH_TOKENS], f"{key}.{WITH_TOKENS}") if WITH_TOKENS in table else None,
         ready=_ready(table, key, answering),
         openings=_openings(table["isolation"], path.parent),
     )
+
+
+_TOLD_OF = {"policy": "version", "mode": "cipher"}
+"""Keys of a launch for the secure form, to the members of a handshake in the journal."""
+
+
+def _governed(table: Mapping[str, Any]) -> Governed:
+    audit, approval = table.get("audit"), table.get("approval")
+    told = Governance(
+        bounds=Bounds.of_record(table),
+        viewer="viewer" in table,
+        audit=audit
+        and {
+            **{name: audit[name] for name in ("fields", "anchor", "digest")},
+            "is_file": "path" in audit,
+            "verifies": "verify" in audit,
+        },
+        approval=approval and {name: value for name, value in approval.items() if name not in ("approve", "decline")},
+    )
+    log = audit or {}
+    return Governed(
+        told=told,
+        viewer=table.get("viewer"),
+        log=log.get("path", ""),
+        records=tuple(log.get("records", ())),
+        verify=tuple(log.get("verify", ())),
+        approve=tuple((approval or {}).get("approve", ())),
+        decline=tuple((approval or {}).get("decline", ())),
+    )
+
+
+def _tokens(table: Mapping[str, Any], key: str) -> Tokens:
+    url = _url(table, key)
+    assert url is not None
+    return Tokens(url=url, scopes=Scopes.of_record(table))
 
 
 def _openings(table: Mapping[str, Any], directory: Path) -> Openings:
@@ -195,6 +240,7 @@ def _check_placeholders(
         for name in ("command", "args", "env"):
             check_placeholders(within.get(name), f"{key}{variant}.{name}")
     check_placeholders(table.get("url"), f"{key}.url")
+    check_placeholders(table.get(WITH_TOKENS, {}).get("url"), f"{key}.{WITH_TOKENS}.url")
     for step in ("connect", "ready"):
         check_placeholders(table.get(step, {}).get("arguments"), f"{key}.{step}.arguments")
     known = protocols()[key.rpartition(".")[2]].operations

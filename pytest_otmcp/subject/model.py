@@ -14,19 +14,34 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, cast
 
-from ..protocols.bounds import Bounds, Times
-from ..protocols.protocol import BOUNDS, COMMANDS, CONTROL_GUARD, GUARD, LAUNCHES, RECOVERY, TIMES
+from ..protocols.bounds import Bounds, Governance, Scopes, Times
+from ..protocols.protocol import (
+    BOUNDS,
+    CLIENT_CERTIFICATE,
+    COMMANDS,
+    CONTROL_GUARD,
+    GOVERNANCE,
+    GUARD,
+    LAUNCHES,
+    RECOVERY,
+    SECURE,
+    TIMES,
+    TOKENS,
+)
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts, BoundsTold, TimesTold
+from ..record.schema import AdapterFacts, BoundsTold, GovernanceTold, ScopesTold, TimesTold
 from .command import Command
 
 __all__ = [
     "BOUNDED",
     "CONNECT",
+    "GOVERNED",
     "NO_CONTROL",
     "READ_ONLY",
     "READ_WRITE",
     "RETIMED",
+    "SECURE_FORM",
+    "WITH_TOKENS",
     "Adapter",
     "Answering",
     "Binding",
@@ -34,10 +49,12 @@ __all__ = [
     "Deviation",
     "ErrorRule",
     "Function",
+    "Governed",
     "OutcomeRule",
     "OutputRule",
     "Ready",
     "Subject",
+    "Tokens",
     "Variant",
     "environment_names",
     "handles",
@@ -51,8 +68,12 @@ READ_ONLY = LAUNCHES[GUARD]
 NO_CONTROL = LAUNCHES[CONTROL_GUARD]
 BOUNDED = LAUNCHES[BOUNDS]
 RETIMED = LAUNCHES[TIMES]
+SECURE_FORM = LAUNCHES[SECURE]
+GOVERNED = LAUNCHES[GOVERNANCE]
+WITH_TOKENS = LAUNCHES[TOKENS]
 """The variants of an adapter: with writes enabled; with writes disabled; with writes enabled, without control of the device itself; with
-writes enabled within bounds; and with other limits of time. A subject need not have the last three."""
+writes enabled within bounds; with other limits of time; over the secure form of the protocol; with a policy; and over HTTP, for callers
+with tokens. A subject need not have the last six."""
 
 CONNECT = "connect"
 """The step whose handles every later call may take."""
@@ -379,8 +400,9 @@ class Variant:
     """One way to launch an adapter.
 
     Attributes:
-        command: argument vector; ``{host} {port} {url} {NAME_port} {serial} {python} {dir} {work} {http_port} {local_port}`` are
-            replaced.
+        command: argument vector; ``{host} {port} {url} {NAME_port} {serial} {interface} {device_mac} {device_ip} {python} {dir} {work}
+            {http_port} {local_port}``, and for the secure form of a protocol ``{ca} {cert} {key}``, for tokens ``{issuer} {issuer_keys}
+            {audience}``, are replaced.
         env: environment beyond the kit's allow-list, with the same replacements.
         cwd: working directory, or None for the kit's.
         files: name below ``{work}``, a fresh directory, to content with the same replacements.
@@ -433,16 +455,53 @@ class CallLimit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Governed:
+    """The launch with a policy.
+
+    Attributes:
+        told: what is stated of it, as far as it is judged.
+        viewer: environment with which the caller may write nothing; None where there is no such caller.
+        log: the file with the audit records; empty where there is none.
+        records, verify, approve, decline: commands that print them, verify the log, and approve or decline a request; empty where there
+            is none.
+    """
+
+    told: Governance
+    viewer: Mapping[str, str] | None
+    log: str = ""
+    records: tuple[str, ...] = ()
+    verify: tuple[str, ...] = ()
+    approve: tuple[str, ...] = ()
+    decline: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tokens:
+    """The launch over HTTP for callers with tokens.
+
+    Attributes:
+        url: of the MCP endpoint, which is the audience of tokens.
+        scopes: of the callers.
+    """
+
+    url: str
+    scopes: Scopes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Adapter:
     """One adapter under test.
 
     Attributes:
         protocol: its key.
         directory: of the subject file.
-        variants: ``rw`` (writes enabled) and ``ro`` (writes disabled), and those of ``no_control``, ``bounded`` and
-            ``retimed`` that the file has.
+        variants: ``rw`` (writes enabled) and ``ro`` (writes disabled), and those of ``no_control``, ``bounded``,
+            ``retimed``, ``secure``, ``governed`` and ``tokens`` that the file has.
         bounds: what the variant ``bounded`` was told; None where there is none.
         times: what follows from what the variant ``retimed`` was told; None where there is none.
+        governed: what the variant ``governed`` was told; None where there is none.
+        secured: what the journal has of each handshake of the variant ``secure``, as far as the file says what was configured.
+        tokens: where the variant ``tokens`` is, and for whom; None where there is none.
         operations: abstract operation name to the bindings that perform it, in the order in which they are tried, or to a
             function.
         answering: how answers are read where a binding does not say otherwise.
@@ -485,13 +544,20 @@ class Adapter:
     start_timeout_s: float
     bounds: Bounds | None = None
     times: Times | None = None
+    governed: Governed | None = None
+    secured: Mapping[str, str] = field(default_factory=dict)
+    tokens: Tokens | None = None
     ready: Ready | None = None
     openings: Openings = field(default_factory=Openings)
+
+    def url_of(self, variant: str) -> str | None:
+        """Return the MCP endpoint of a variant; None for one over stdio."""
+        return self.tokens.url if variant == WITH_TOKENS and self.tokens is not None else self.url
 
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""
         operation, _, optional = facet.partition(".")
-        if operation in (*LAUNCHES, RECOVERY, COMMANDS):
+        if operation in (*LAUNCHES, RECOVERY, COMMANDS, CLIENT_CERTIFICATE):
             return None
         bound = self.operations.get(operation)
         if bound is None:
@@ -568,6 +634,8 @@ class Adapter:
             return LAUNCHES[operation] in self.variants
         if operation == COMMANDS:
             return bool(self.commands)
+        if operation == CLIENT_CERTIFICATE:
+            return SECURE_FORM in self.variants and "{cert}" in str(self.variants[SECURE_FORM])
         bound = self.operations.get(operation)
         if bound is None:
             return False
@@ -610,6 +678,12 @@ class Adapter:
             facts["bounds"] = cast(BoundsTold, self.bounds.as_record())
         if self.times is not None:
             facts["times"] = cast(TimesTold, self.times.as_record())
+        if self.governed is not None:
+            facts["governance"] = cast(GovernanceTold, self.governed.told.as_record())
+        if self.secured:
+            facts["secured"] = dict(self.secured)
+        if self.tokens is not None:
+            facts["scopes"] = cast(ScopesTold, self.tokens.scopes.as_record())
         if self.connect is not None and self.connect.keep:
             facts["opened_by"] = self.connect.tool
         if self.ready is not None:

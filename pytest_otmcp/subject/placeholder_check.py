@@ -10,7 +10,10 @@ from .kinds import Refusal
 
 __all__ = ["check_placeholders"]
 
-_KNOWN = ("host", "port", "url", "serial", "python", "kit_version", "dir", "work", "http_port", "local_port")
+_KNOWN = (
+    *("host", "port", "url", "serial", "interface", "device_mac", "device_ip"),
+    *("python", "kit_version", "dir", "work", "http_port", "local_port", "audience"),
+)
 _BRACED = re.compile(r"\{(\w+)(?::int)?\}")
 _NEAR = 0.7
 """Braces may mean something to the adapter: only what is almost a placeholder is taken for one."""

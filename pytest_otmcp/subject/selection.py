@@ -6,7 +6,7 @@ protocols that were asked for.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
@@ -18,7 +18,7 @@ from ..protocols.registry import protocols
 from .load import load_subject, reference_subject
 from .model import Subject
 
-__all__ = ["ALL", "Selection", "missing_library", "select"]
+__all__ = ["ALL", "Selection", "missing_library", "select", "without_cable"]
 
 ALL = "all"
 """Stands for every protocol that there is a reference adapter for."""
@@ -68,6 +68,22 @@ def select(source: Path | None, asked: Collection[str] = ()) -> Selection:
     }
     adapters = {key: adapter for key, adapter in every.adapters.items() if key in wanted and key not in reasons}
     return Selection(subject=replace(every, adapters=adapters), not_measured=reasons)
+
+
+def without_cable(selection: Selection, refused: Callable[[], str | None]) -> Selection:
+    """Return a selection without the adapters that need a cable, where the machine refuses one.
+
+    Args:
+        refused: says what this machine refuses; it is asked only where an adapter needs a cable.
+    """
+    needing = [key for key in selection.subject.adapters if protocols()[key].cable]
+    if not needing or (why := refused()) is None:
+        return selection
+    adapters = {key: it for key, it in selection.subject.adapters.items() if key not in needing}
+    reasons = {key: f"{protocols()[key].name} was not measured: {why}" for key in needing}
+    return Selection(
+        subject=replace(selection.subject, adapters=adapters), not_measured={**selection.not_measured, **reasons}
+    )
 
 
 def missing_library(protocol: OtProtocol) -> str | None:

@@ -9,7 +9,7 @@ from ..protocols.registry import protocols
 
 __all__ = ["PAGE", "advice", "known_libraries"]
 
-PAGE = "docs/by-library.md"
+PAGE = "by-library"
 
 
 def known_libraries() -> Mapping[str, Library]:
@@ -29,4 +29,4 @@ def advice(requirement: str, used: Collection[str] | None = None) -> Iterator[st
         if used is None or name in used:
             for hint in library.hints:
                 if requirement in hint.requirements:
-                    yield f"{name}: {hint.change} ({PAGE}#{library.anchor})"
+                    yield f"{name}: {hint.change} (otmcp docs {PAGE}#{library.anchor})"

@@ -8,7 +8,7 @@ from importlib import import_module
 from types import ModuleType
 
 from ..core.digest import files_digest
-from ..core.matrix import BENCHMARK, REQUIREMENTS
+from ..core.matrix import BENCHMARK, FIELD, REQUIREMENTS
 from ..protocols.protocol import OtProtocol
 from ..protocols.registry import protocols
 from ..record.schema import Protocol
@@ -21,8 +21,10 @@ __all__ = [
     "SHARED_ITEMS",
     "SUITE",
     "all_tasks",
+    "field_tasks",
     "identity",
     "kit_digest",
+    "known_tasks",
     "suite_digest",
     "task_modules",
     "tasks_by_id",
@@ -33,6 +35,8 @@ KIT = "pytest-otmcp"
 
 SHARED_ITEMS = f"{SUITE}.tasks.further"
 """The module whose steps any protocol's tasks may have."""
+
+_FIELD_ITEMS = f"{SUITE}.field"
 
 _PACKAGE = __package__.partition(".")[0]
 
@@ -48,7 +52,7 @@ def _declarations() -> tuple[ModuleType, ModuleType]:
 
 def task_modules() -> tuple[str, ...]:
     """Return the dotted names of the modules that declare the tasks of the suite."""
-    return tuple(name for declaring in _declarations() for name in declaring.modules())
+    return (*(name for declaring in _declarations() for name in declaring.modules()), _FIELD_ITEMS)
 
 
 def all_tasks() -> dict[str, Task]:
@@ -64,7 +68,19 @@ def all_tasks() -> dict[str, Task]:
     return tasks
 
 
-def tasks_by_id(adapters: Collection[str] = (), suites: Collection[str] = BENCHMARK) -> dict[str, Task]:
+def field_tasks() -> dict[str, Task]:
+    """Return the tasks of real devices by id: they are part of no level, and of no run without such a device."""
+    return {task.id: task for task in import_module(_FIELD_ITEMS).TASKS}
+
+
+def known_tasks() -> dict[str, Task]:
+    """Return every task that an item of a record may have, by id."""
+    return {**all_tasks(), **field_tasks()}
+
+
+def tasks_by_id(
+    adapters: Collection[str] = (), suites: Collection[str] = BENCHMARK, devices: Collection[str] = ()
+) -> dict[str, Task]:
     """Return the tasks that a run must have, by id, in the suite's order.
 
     The benchmark's suites belong together: who asks for one of them has a run of the benchmark that is not whole. The requirement
@@ -74,12 +90,15 @@ def tasks_by_id(adapters: Collection[str] = (), suites: Collection[str] = BENCHM
         adapters: protocols for which the subject has an adapter. Tasks on the kit's own protocols are always required,
             tasks on other protocols only when the subject has an adapter for them.
         suites: suites that the run has asked for.
+        devices: protocols for which the run has a real device; the others have no items of such.
     """
-    wanted = {*(BENCHMARK if {*BENCHMARK} & {*suites} else ()), *({REQUIREMENTS} & {*suites})}
+    wanted = {*(BENCHMARK if {*BENCHMARK} & {*suites} else ()), *({REQUIREMENTS, FIELD} & {*suites})}
     return {
         name: task
-        for name, task in all_tasks().items()
-        if task.suite in wanted and all(protocols()[key].always or key in adapters for key in task.protocols)
+        for name, task in known_tasks().items()
+        if task.suite in wanted
+        and all(protocols()[key].always or key in adapters for key in task.protocols)
+        and (task.suite != FIELD or all(key in devices for key in task.protocols))
     }
 
 

@@ -1,11 +1,13 @@
 """The documentation: the pages that people write, which lie in ``docs/``, and those that ``docs/built.toml`` names.
 
-A built page is what its program prints, so it cannot differ from the declarations. A link to one leads to its entry in the index
+A built page is what its program prints, so it cannot differ from the declarations; an entry with a slash is a folder, whose program
+prints all of its pages as one JSON object. A link to one leads to its entry in the index
 (``README.md#items.md``), because a forge shows the folder without it; in a directory that is written here it leads to the page.
 """
 
 from __future__ import annotations
 
+import json
 import posixpath
 import re
 import subprocess
@@ -56,7 +58,8 @@ class _Built:
 def titles() -> dict[str, str]:
     """Return the titles of all pages and schemas, by file name."""
     written = {name: content(name).decode().partition("\n")[0].lstrip("# ") for name in _files() if _is_page(name)}
-    return dict(sorted({**written, **{name: one.title for name, one in _built().items()}}.items()))
+    built = {name: one.title for name, one in _built().items() if not name.endswith("/")}
+    return dict(sorted({**written, **built}.items()))
 
 
 def copies() -> list[str]:
@@ -68,7 +71,7 @@ def content(path: str) -> bytes:
     """Return a file of the documentation, as it is stored or built.
 
     Args:
-        path: from the folder of the documentation.
+        path: from the folder of the documentation; of a folder that is built, with its slash, a JSON object of its pages.
 
     Raises:
         KeyError: there is no such file.
@@ -89,9 +92,13 @@ def write(directory: Path) -> int:
     """
     if not _may_be_written(directory):
         raise UsageError(f"{directory}: has other files; name a new or empty directory")
-    names = {*_files(), *_built()} - {_TABLE}
+    asked = {*_files(), *_built()} - {_TABLE}
     with ThreadPoolExecutor() as pool:
-        contents = dict(zip(names, pool.map(content, names), strict=True))
+        contents = dict(zip(asked, pool.map(content, asked), strict=True))
+    for folder in [name for name in contents if name.endswith("/")]:
+        pages: dict[str, str] = json.loads(contents.pop(folder))
+        contents |= {f"{folder}{name}": text.encode() for name, text in pages.items()}
+    names = {*contents}
     for name, data in contents.items():
         page = name.endswith(".md")
         file = directory / name

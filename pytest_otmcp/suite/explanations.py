@@ -16,7 +16,7 @@ from ..protocols.registry import protocols
 from ..trial.explanation import explanation
 from ..trial.task import Task
 from .by_library import advice
-from .catalogue import all_tasks
+from .catalogue import all_tasks, known_tasks
 from .keys import keys_of_code, keys_of_task
 from .requirements import Level, Profile, Requirement, catalogue, requirements
 
@@ -41,7 +41,7 @@ Part = tuple[str, tuple[str, ...]]
 
 HOW_A_LEVEL_IS_EARNED = (
     "A level is earned for each protocol apart. It needs every MUST of its own profiles and of those of the levels below, as far as "
-    "the subject claims what the row is about."
+    "the subject claims what the row is about; of those that begin with Gold it needs every one."
 )
 
 _SOCKETS = ("pytest_otmcp.core", "errors.toml", "socket")
@@ -73,7 +73,7 @@ def explained(identifier: str) -> list[Explained]:
     an unknown id."""
     identifier = _by_folded().get(identifier.casefold(), identifier)
     found = []
-    if (task := all_tasks().get(identifier)) is not None:
+    if (task := known_tasks().get(identifier)) is not None:
         found.append(item(task))
     if (row := requirements().get(identifier)) is not None:
         found.append(requirement(row))
@@ -100,7 +100,7 @@ def _by_folded() -> dict[str, str]:
 
 def identifiers() -> list[str]:
     """Return every id that can be explained, each once."""
-    names = [*all_tasks(), *requirements(), *_levels(), *catalogue().profiles, *registry(), *findings()]
+    names = [*known_tasks(), *requirements(), *_levels(), *catalogue().profiles, *registry(), *findings()]
     return list(dict.fromkeys(names))
 
 

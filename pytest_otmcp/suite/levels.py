@@ -8,12 +8,14 @@ The rules of this file:
    standard output, has shown its own row all the same: one fault is counted once.
 2. A row whose item does not apply, because the subject does not claim what the row is about, is not asked for. A row without
    an item, or whose item did not end, or failed for what another row is about, is not shown: it denies the level as well.
-3. A level is about something: at least one of the rows that begin with it and belong to the protocol's own profiles is met.
+3. A level is about something: at least one of the rows that begin with it and belong to the protocol's own profiles is met. The highest
+   level is a whole: every MUST that begins with it is met, and none is only not asked for. The row about HTTP is for adapters that are
+   reached by it.
 4. An adapter that may write has to show that its writes can be disabled, also where it does not claim that.
 5. A failure that is about no row of the catalogue denies every level, and so does one of an item on this protocol alone that is about a
    row that the protocol does not have.
 6. A row that is not yet judged is not asked for, but a finding about it counts. The highest level cannot be earned as long as
-   rows that begin with it are not yet judged.
+   rows that begin with it are not yet judged, nor over a protocol without a secure form.
 """
 
 from __future__ import annotations
@@ -22,21 +24,24 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from ..core.matrix import REQUIREMENTS
+from ..core.matrix import FIELD, REQUIREMENTS
 from ..core.text import counted
 from ..core.verdict import Status
 from ..protocols.registry import protocols
-from ..record.schema import Item
+from ..record.schema import AdapterFacts, Item
 from ..record.warnings import failing, findings_of, passed_beside
 from .requirements import Catalogue, Level, Requirement
 
-__all__ = ["NOT_SHOWN", "Standing", "said", "shown", "standing", "standings"]
+__all__ = ["Standing", "in_words", "not_shown", "said", "shown", "standing", "standings"]
 
-NOT_SHOWN = "none is shown without the requirement suite; otmcp certify runs it beside the benchmark"
-"""Said of the level of a run without the requirement suite."""
+_NOT_ASKED = "none is shown without the requirement suite; otmcp certify runs it beside the benchmark"
+_IN_FIELD = "none is shown by a field record, which is made at a real device, and it earns no certificate"
 
 _NAMED = 5
 """Rows that a line names at most."""
+
+_OVER_HTTP = "MCP-011"
+"""The row about adapters that are reached over a network."""
 
 _GUARD = "WR-004"
 """The row by which writes that are disabled stay disabled."""
@@ -76,7 +81,8 @@ class Standing:
         hidden: those of them whose item failed for another cause.
         unclaimed: rows that it would need of a subject that claims what they are about.
         not_yet: rows that it will need once they are judged.
-        shown: whether a row of the protocol's own profiles that begins with that level is met.
+        shown: whether a row of the protocol's own profiles that begins with that level is met; for the highest level, all rows that begin with it.
+        absent: rows that begin with the highest level and are not asked for.
     """
 
     protocol: str
@@ -90,6 +96,12 @@ class Standing:
     unclaimed: tuple[str, ...]
     not_yet: tuple[str, ...]
     shown: bool
+    absent: tuple[str, ...] = ()
+
+    @property
+    def secure(self) -> bool:
+        """Whether the protocol has a secure form, without which the highest level cannot be earned."""
+        return self.wanted is not Level.GOLD or protocols()[self.protocol].secure
 
     @property
     def earned(self) -> bool:
@@ -97,27 +109,38 @@ class Standing:
         return self.attainable and self.shown and not (self.failed or self.unattributed or self.not_run)
 
 
-def standings(catalogue: Catalogue, items: Sequence[Item], adapters: Iterable[str]) -> list[Standing]:
-    """Return the level of each protocol; of a run without items of the requirement suite nothing is said about levels.
+def standings(catalogue: Catalogue, items: Sequence[Item], adapters: Mapping[str, AdapterFacts]) -> list[Standing]:
+    """Return the level of each protocol; of a run without items of the requirement suite, or at a real device, nothing is said about levels.
 
     Args:
         catalogue, items: as for :func:`standing`.
-        adapters: keys of the protocols for which the subject has an adapter.
+        adapters: those of the subject, by the key of the protocol.
     """
-    if all(item["suite"] != REQUIREMENTS for item in items):
+    suites = {item["suite"] for item in items}
+    if REQUIREMENTS not in suites or FIELD in suites:
         return []
-    return [standing(catalogue, items, protocol) for protocol in adapters if protocol in protocols()]
+    return [
+        standing(catalogue, items, protocol, over_http=facts.get("transport") == "http")
+        for protocol, facts in adapters.items()
+        if protocol in protocols()
+    ]
 
 
-def standing(catalogue: Catalogue, items: Sequence[Item], protocol: str) -> Standing:
+def not_shown(items: Iterable[Item]) -> str:
+    """Say why nothing is said about levels."""
+    return _IN_FIELD if any(item["suite"] == FIELD for item in items) else _NOT_ASKED
+
+
+def standing(catalogue: Catalogue, items: Sequence[Item], protocol: str, *, over_http: bool = False) -> Standing:
     """Return the level of one protocol.
 
     Args:
         catalogue: the requirement catalogue.
         items: of the run, in any order; those of other suites count by their findings.
         protocol: key of a protocol for which the subject has an adapter.
+        over_http: the adapter is reached over a network.
     """
-    evidence = _Evidence(catalogue, items, protocol)
+    evidence = _Evidence(catalogue, items, protocol, over_http=over_http)
     earned: Level | None = None
     for level in Level:
         found = evidence.standing(earned, level)
@@ -130,9 +153,10 @@ def standing(catalogue: Catalogue, items: Sequence[Item], protocol: str) -> Stan
 class _Evidence:
     """What the items of a run show about the rows, for one protocol."""
 
-    def __init__(self, catalogue: Catalogue, items: Sequence[Item], protocol: str) -> None:
+    def __init__(self, catalogue: Catalogue, items: Sequence[Item], protocol: str, *, over_http: bool) -> None:
         self._catalogue = catalogue
         self._protocol = protocol
+        self._over_http = over_http
         self._states: dict[str, _State] = {}
         self._blamed: dict[str, list[str]] = {}
         self._hidden: set[str] = set()
@@ -174,6 +198,7 @@ class _Evidence:
     def standing(self, earned: Level | None, wanted: Level) -> Standing:
         """Return what is missing for a level above the one that is earned."""
         needed = [row for row in self._catalogue.needs(wanted, self._protocol) if row.strength == "MUST"]
+        needed = [row for row in needed if self._over_http or row.id != _OVER_HTTP]
         judged = [row.id for row in needed if row.not_yet is None]
         failed = {row.id: tuple(sorted(self._blamed[row.id])) for row in needed if row.id in self._blamed}
         unclaimed = [name for name in judged if self._state(name) is _State.UNCLAIMED and name not in failed]
@@ -181,19 +206,25 @@ class _Evidence:
         if _GUARD in unclaimed and not self._only_reads():
             unclaimed.remove(_GUARD)
             not_run.append(_GUARD)
+        absent = [row.id for row in needed if row.level is wanted is Level.GOLD and row.id in unclaimed]
         return Standing(
             protocol=self._protocol,
             level=earned,
             wanted=wanted,
-            attainable=wanted is not Level.GOLD or all(row.not_yet is None for row in needed if row.level is wanted),
+            attainable=wanted is not Level.GOLD
+            or (
+                protocols()[self._protocol].secure and all(row.not_yet is None for row in needed if row.level is wanted)
+            ),
             failed=failed,
             unattributed=tuple(sorted(self._unattributed)),
             not_run=tuple(not_run),
             hidden=tuple(name for name in not_run if name in self._hidden),
             unclaimed=tuple(unclaimed),
             not_yet=tuple(row.id for row in needed if row.not_yet is not None and row.id not in failed),
-            shown=wanted is Level.GOLD
-            or any(self._state(row.id) is _State.MET and row.id not in failed for row in self._own(wanted)),
+            shown=not absent
+            if wanted is Level.GOLD
+            else any(self._state(row.id) is _State.MET and row.id not in failed for row in self._own(wanted)),
+            absent=tuple(absent),
         )
 
     def _state(self, row: str) -> _State:
@@ -222,18 +253,31 @@ def _protocols(item: Item) -> set[str]:
     return named or {name.partition("@")[0] for name in item["devices"]} & known or known
 
 
+def in_words(found: Sequence[Standing]) -> str:
+    """Say in a word or two which level each protocol has; empty for none that was looked at."""
+    named = [(protocols()[one.protocol].name, _word(one)) for one in found]
+    return named[0][1] if len(named) == 1 else ", ".join(" ".join(pair) for pair in named)
+
+
+def _word(found: Standing) -> str:
+    return "no level" if found.level is None else found.level.capitalize()
+
+
 def said(found: Standing) -> str:
     """Say in one line which level a protocol has, and how far the next one is."""
     name = protocols()[found.protocol].name
-    level = "no level" if found.level is None else found.level.capitalize()
+    level = _word(found)
+    if found.level is found.wanted:
+        return f"{name}: {level}"
     if not found.attainable:
-        return f"{name}: {level}; {found.wanted.capitalize()} cannot be earned yet"
+        return f"{name}: {level}; {found.wanted.capitalize()} cannot be earned{' yet' if found.secure else ''}"
     lacking = [
         f"{counted(len(names), noun)} {what} ({_some(names)})"
         for names, noun, what in (
             (tuple(found.failed), "row", "violated"),
             (found.unattributed, "item", "failed without a finding about a row"),
             (found.not_run, "row", "not shown"),
+            (found.absent, "row", "not asked for"),
         )
         if names
     ]
@@ -259,7 +303,9 @@ def shown(found: Standing, catalogue: Catalogue) -> list[str]:
         told.append(f"Not shown, because the item about it failed for another cause: {', '.join(found.hidden)}.")
     if unseen := [name for name in found.not_run if name not in found.hidden]:
         told.append(f"No item has shown {', '.join(unseen)}.")
-    if found.attainable and not found.shown:
+    if found.absent:
+        told.append(f"{wanted} needs every row that begins with it; not asked for: {', '.join(found.absent)}.")
+    elif found.attainable and not found.shown:
         told.append(f"Nothing that {wanted} is about has been shown to work.")
     if found.unclaimed:
         told.append(f"Not asked for, because the subject does not claim it: {', '.join(found.unclaimed)}.")
@@ -267,6 +313,11 @@ def shown(found: Standing, catalogue: Catalogue) -> list[str]:
     for name in found.not_yet:
         reasons.setdefault(catalogue.rows[name].not_yet or "", []).append(name)
     told += [f"Not yet judged: {', '.join(names)} ({reason})." for reason, names in reasons.items()]
-    if not found.attainable:
+    if not found.secure:
+        name = protocols()[found.protocol].name
+        told.append(
+            f"{wanted} cannot be earned: the kit knows no form of {name} in which device and adapter know each other."
+        )
+    elif not found.attainable:
         told.append(f"{wanted} cannot be earned yet: rows that begin with it are not yet judged.")
     return told

@@ -142,6 +142,13 @@ class Catalogue:
     documents: Mapping[str, Document]
     rows: Mapping[str, Requirement]
 
+    @property
+    def version(self) -> str:
+        """The version of the kit that has added the newest rows."""
+        return max(
+            (row.since for row in self.rows.values()), key=lambda since: [int(part) for part in since.split(".")]
+        )
+
     def needs(self, level: Level, protocol: str) -> list[Requirement]:
         """Return the rows that an adapter for a protocol has to meet for a level, those of the levels below included.
 

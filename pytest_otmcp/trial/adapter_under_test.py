@@ -6,14 +6,20 @@ A session that broke is replaced. This module knows no tasks and judges nothing.
 from __future__ import annotations
 
 import asyncio
+import io
+import os
 import socket
+import stat
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal, TypedDict, cast
+from types import MappingProxyType
+from typing import BinaryIO, Literal, TypedDict, cast
+from urllib.parse import urlsplit
 
 from .. import __version__
 from ..core.errors import KitError, NoBindingError, NoHandleError, SubjectError, UsageError
@@ -23,18 +29,34 @@ from ..core.text import recorded_name
 from ..core.tool_entry import TWICE
 from ..plant.device import Device
 from ..plant.endpoint import endpoint_values
+from ..plant.field_device import FieldDevice
 from ..plant.owners import TOKEN_VARIABLE, new_token
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts, Footprint, StoredBinding, Tested, ToolListing, ToolsChanged, VariantName
+from ..record.schema import (
+    AdapterFacts,
+    Footprint,
+    Question,
+    StoredBinding,
+    Tested,
+    ToolListing,
+    ToolsChanged,
+    ToolSurface,
+    VariantName,
+)
 from ..record.schema import Device as DeviceFacts
+from ..session.caller import ISSUER, Caller, Guise
 from ..session.canary import CANARY_VARIABLE, Leak, SecretSearch, new_canary
+from ..session.exchange import Answer as PersonsAnswer
 from ..session.exchange import Exchange, joined, joint
-from ..session.footprint import footprint
+from ..session.footprint import footprint, limit_file
+from ..session.free_port import free_port
+from ..session.http import connected
 from ..session.isolation import Walls
 from ..session.limits import Allowance
 from ..session.pace import Pace
-from ..session.process import StopReport
+from ..session.person import Person
+from ..session.process import StopReport, SubjectProcess, subject_environment
 from ..session.session import McpSession, SessionOptions
 from ..subject.addressing import addressed_by, carries_address
 from ..subject.answers import Answer, interpret, read_answer
@@ -45,11 +67,14 @@ from ..subject.handles import Handles
 from ..subject.imports import libraries_used
 from ..subject.model import (
     CONNECT,
+    GOVERNED,
     READ_WRITE,
+    WITH_TOKENS,
     Adapter,
     Answering,
     Binding,
     Function,
+    Governed,
     Variant,
     handles,
     replace_placeholders,
@@ -60,6 +85,7 @@ from .alteration import Alteration, expanded
 from .cursor import JournalCursor
 from .reply import Expectation, Reply, kept_of, observe, replace_outputs
 from .subject_in_rig import SubjectInRig
+from .tool_surface import surface
 
 __all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "EndedSession"]
 
@@ -69,8 +95,23 @@ _EXIT_GRACE_S = 5.0
 _MEANINGLESS = "otmcp-neither-on-nor-off"
 """No adapter can take this for "on" or "off"."""
 
+_CREDENTIALS = "otmcp-tls"
+"""Folder of the adapter's certificates, in the one that it works in."""
+
+_KEY_SET = "otmcp-keys.json"
+"""The public key of the issuer of tokens, in the folder that the adapter works in."""
+
+_OTHER_ADDRESS = "127.0.0.2"
+"""Of this machine, as is all of 127.0.0.0/8, and in no subject file."""
+
 _READY_PAUSE_S = 0.05
 """Time between two questions whether the adapter is ready."""
+
+_COMMAND_S = 30.0
+"""Time within which a command of the subject file, such as its verifier, has ended."""
+
+_MOST_OF_LOG, _MOST_LINES = 1 << 20, 1000
+"""Bytes, or lines of a command, that are read of an audit log at once."""
 
 AUTO = "auto"
 """The era in which an adapter is asked what it speaks."""
@@ -88,12 +129,14 @@ class BenchOptions:
         time_scale: factor on deadlines and windows, for slow machines.
         soak: steps that have a long form take it.
         worker: name of this process among those of the run.
+        devices: the real devices of the run by protocol, as its record has them.
     """
 
     era: str = "auto"
     time_scale: float = 1.0
     soak: bool = False
     worker: str = MAIN
+    devices: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
 
 class ServerFacts(TypedDict, total=False):
@@ -132,6 +175,8 @@ class AdapterUnderTest:
         used: operations that were performed.
         legacy: the adapter ended at the first request of today's handshake, and was started with the one of 2025-11-25.
         unmet: requirements of the envelope that the adapter's own answers do not meet, where it does not claim to have one.
+        caller: who calls, of the adapter that takes tokens; None for one that asks nobody.
+        person: answers the questions of the adapter with a policy; None for a client that cannot be asked.
         unconnected: the connect step failed; where the device was away, it is made again once it is back.
     """
 
@@ -167,9 +212,15 @@ class AdapterUnderTest:
         self._addressed = False
         self._handles = self._no_handles()
         self._launched: Variant | None = None
+        self._placeholders: Mapping[str, str] = {}
         self._tested: Tested | None = None
         self.legacy = False
         self._garbled: Mapping[str, str] = {}
+        self._withheld: tuple[str, ...] = ()
+        self._persona: Mapping[str, str] = {}
+        self.person = self._new_person() if variant == GOVERNED else None
+        self.caller = Caller(adapter.tokens.scopes) if variant == WITH_TOKENS and adapter.tokens is not None else None
+        self._read_of_log = 0
         self._by_handshake = self._refuses_handshake = False
         # One for all sessions: the kit cannot know whether the adapter forgets with its process.
         limit = adapter.call_limit
@@ -209,11 +260,14 @@ class AdapterUnderTest:
             "unmet": sorted(self.unmet),
             "listing": {tool: entry for tool in sorted(self._called) if (entry := self.listing(tool)) is not None},
             "addressed_by": addressed_by(adapter),
-            "libraries": {} if self._launched is None else libraries_used(self._launched.command, self._launched.cwd),
+            "libraries": self._libraries(),
         }
         if self._tested is not None:
             facts["tested"] = self._tested
         return facts
+
+    def _libraries(self) -> dict[str, str]:
+        return {} if self._launched is None else libraries_used(self._launched.command, self._launched.cwd)
 
     def listing(self, tool: str) -> ToolListing | None:
         """Return what ``tools/list`` says of a tool, as far as it is judged; None where it says nothing."""
@@ -234,23 +288,19 @@ class AdapterUnderTest:
 
     def device_facts(self) -> DeviceFacts:
         """Return what ``run.json`` says about the device."""
-        return {
+        facts: DeviceFacts = {
             "protocol": self.adapter.protocol,
             "variant": cast(VariantName, self.variant),
             "worker": self._options.worker,
-            "endpoints": [
-                {
-                    "name": endpoint.name,
-                    "kind": endpoint.kind,
-                    "host": endpoint.host,
-                    "port": endpoint.port,
-                    "path": endpoint.path,
-                }
-                for endpoint in self.device.endpoints.values()
-            ],
+            "endpoints": [endpoint.facts() for endpoint in self.device.endpoints.values()],
             "placeholders": self.endpoint,
             "first": self.first,
         }
+        if isinstance(self.device, FieldDevice):
+            facts["witnesses"] = witnesses = self.device.witnesses.copy()
+            if self.device.library in self._libraries():
+                witnesses["state"] += ", as the adapter is"
+        return facts
 
     # -- life ---------------------------------------------------------------------------------------------
 
@@ -258,27 +308,42 @@ class AdapterUnderTest:
         """Return a session that has not been opened yet, with a process of its own."""
         if self._work is None:
             self._work = tempfile.TemporaryDirectory(prefix="otmcp-", ignore_cleanup_errors=True)
+        url = self.adapter.url_of(self.variant)
         values = {
             **self.endpoint,
             "python": sys.executable,
             "kit_version": __version__,
             "dir": str(self.adapter.directory),
             "work": self._work.name,
-            "http_port": str(self._free_port(socket.SOCK_STREAM)) if self.adapter.url is not None else "",
+            "http_port": str(self._free_port(socket.SOCK_STREAM)) if url is not None else "",
             "local_port": str(self._free_port(socket.SOCK_DGRAM)),
+            **{name: str(Path(self._work.name, _CREDENTIALS, f"{name}.pem")) for name in self.device.credentials},
         }
+        url = None if url is None else str(replace_placeholders(url, values))
+        files = {f"{_CREDENTIALS}/{name}.pem": content for name, content in self.device.credentials.items()}
+        if self.caller is not None:
+            assert url is not None
+            self.caller.begin(url)
+            files[_KEY_SET] = self.caller.key_set
+            values |= {"issuer": ISSUER, "issuer_keys": str(Path(self._work.name, _KEY_SET)), "audience": url}
+        self._placeholders = values
         launch = self.adapter.variants[self.variant].for_endpoint(values)
         canaries = {name: new_canary() for name in (CANARY_VARIABLE, *self.adapter.secret_env)}
         search = SecretSearch(canaries, self.adapter.telling_secrets(launch.env))
         self._launched = launch
         if self._tested is None:
             self._tested = fingerprint(launch.command, launch.cwd)
-        for name, content in launch.files.items():
+        files |= {name: content.encode() for name, content in launch.files.items()}
+        withheld = [f"{_CREDENTIALS}/{name}.pem" for name in self._withheld]
+        for name, content in files.items():
             file = Path(self._work.name, name)
+            if name in withheld:
+                file.unlink(missing_ok=True)
+                continue
             file.parent.mkdir(parents=True, exist_ok=True)
             # An earlier session of the adapter may have put something else there.
             with new_file(file) as made:
-                made.write(content.encode())
+                made.write(content)
         options = SessionOptions(
             era="legacy" if self.legacy or self._by_handshake else self.adapter.era or self._options.era,
             start_timeout_s=self.adapter.start_timeout_s * self._options.time_scale,
@@ -287,11 +352,14 @@ class AdapterUnderTest:
             allowance=self._allowance,
             secrets=search,
             work=self._work.name,
-            url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
+            url=url,
             walls=self._walls(),
+            person=self.person,
+            caller=self.caller,
         )
         self._token = new_token()
-        env = {**canaries, **launch.env, **self._garbled, TOKEN_VARIABLE: self._token}
+        env = {**canaries, **launch.env, **self._garbled, **self._persona, TOKEN_VARIABLE: self._token}
+        self._read_of_log = 0
         session = McpSession(launch.command, env, launch.cwd, options)
         self._searches = [*(one for one in self._searches if one.leaks), search]
         self.device.sessions.begin(self._token, lambda: session.pid)
@@ -310,12 +378,154 @@ class AdapterUnderTest:
         )
 
     def _free_port(self, kind: socket.SocketKind) -> int:
-        # A server has to be told its port before it exists. On loopback another program takes that port meanwhile only by chance.
         walls = self.device.walls
-        with socket.socket(type=kind) if walls is None else walls.socket(kind) as probe:
-            probe.bind(("127.0.0.1", 0))
-            port: int = probe.getsockname()[1]
-            return port
+        return free_port(partial(socket.socket, type=kind) if walls is None else partial(walls.socket, kind))
+
+    # -- policy, audit log and approval -----------------------------------------------------------------------
+
+    async def play(self, *, viewer: bool, can_ask: bool) -> None:
+        """Be a caller who may write nothing, or the one of the launch, from the next session on, and a client that can be asked or not."""
+        self.person = self._new_person() if can_ask else None
+        self._persona = self._governed.viewer or {} if viewer else {}
+
+    def _new_person(self) -> Person:
+        return Person((self._governed.told.approval or {}).get("form", {}))
+
+    async def disguise(self, guise: Guise) -> None:
+        """Send the requests that follow as another caller."""
+        assert self.caller is not None, "only steps of the launch for tokens are another caller"
+        self.caller.guise = guise
+
+    async def listens_beyond(self) -> bool:
+        """Return whether the server of the launch for tokens takes connections at an address that it was not told: on which it listens only
+        if it does on every one of this machine."""
+        url = urlsplit(self._placeholders["audience"])
+        try:
+            (await connected(self.device.walls, _OTHER_ADDRESS, url.port or 80)).close()
+        except OSError:
+            return False
+        return True
+
+    async def answer(self, answer: PersonsAnswer) -> None:
+        """Answer so what the adapter asks from now on."""
+        if self.person is not None:
+            self.person.answer = answer
+
+    async def redeem(self) -> None:
+        """Let the next call bring the acceptance of the newest question that had no answer."""
+        if self.person is not None:
+            self.person.redeem()
+
+    async def questions(self) -> list[Question]:
+        """Return what the adapter has asked since the last look."""
+        if self.person is None:
+            return []
+        asked, self.person.questions = self.person.questions, []
+        return asked
+
+    async def approve(self, request: str) -> bool:
+        """Approve a request outside of MCP; return whether that could be done."""
+        return (await self._run(self._governed.approve, {"approval": request}))[0] == 0
+
+    async def decline(self, request: str) -> bool:
+        """Decline a request outside of MCP; return whether that could be done."""
+        return (await self._run(self._governed.decline, {"approval": request}))[0] == 0
+
+    async def audit_lines(self) -> list[str]:
+        """Return the lines of the audit log that are new since the last look at the log of this session; of very many, the first."""
+        if self._governed.log:
+            with self._opened_log() as file:
+                file.seek(self._read_of_log)
+                new = file.read(_MOST_OF_LOG)
+            self._read_of_log += len(new)
+            lines = new.splitlines()
+        else:
+            _, every = await self._run(self._governed.records)
+            lines, self._read_of_log = every[self._read_of_log :], len(every)
+        if self._searches:
+            self._searches[-1].look(b"\n".join(lines), lambda: "the audit log")
+        return [line.decode("utf-8", "backslashreplace") for line in lines]
+
+    async def cramp(self, more: int | None) -> bool:
+        """Let the audit log grow by so many bytes at most, or as it will; return whether it is so limited now."""
+        marker = f"{TOKEN_VARIABLE}={self._token}".encode()
+        return limit_file(self._current().pid, marker, self._log(), more)
+
+    async def verified(self, anchor: str, edits: Mapping[str, Callable[[list[bytes]], list[bytes]]]) -> dict[str, bool]:
+        """Return for each edit whether the verifier takes the edited audit log for whole. Afterwards it is as it was.
+        Nothing is returned of one that is too long.
+
+        Args:
+            anchor: what the newest answer says of its record.
+            edits: name to what makes other lines of those of the log.
+        """
+        found: dict[str, bool] = {}
+        with self._opened_log() as file:
+            whole = file.read(_MOST_OF_LOG)
+            if len(whole) == _MOST_OF_LOG:
+                return found
+            try:
+                for name, edit in edits.items():
+                    _overwrite(file, b"".join(edit(whole.splitlines(keepends=True))))
+                    found[name] = (await self._run(self._governed.verify, {"anchor": anchor}))[0] == 0
+            finally:
+                _overwrite(file, whole)
+        return found
+
+    @property
+    def _governed(self) -> Governed:
+        assert self.adapter.governed is not None, "only steps of the launch with a policy look there"
+        return self.adapter.governed
+
+    def _log(self) -> Path:
+        return Path(str(replace_placeholders(self._governed.log, self._placeholders)))
+
+    def _opened_log(self) -> BinaryIO:
+        """Open the file with the audit records; an empty one in its place where there is none.
+
+        It lies where the adapter may put something else in its place, such as a link to a file that is none of its own.
+        """
+        try:
+            file = os.fdopen(os.open(self._log(), os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "r+b")
+        except OSError:
+            return io.BytesIO()
+        found = os.fstat(file.fileno())
+        if stat.S_ISREG(found.st_mode) and found.st_nlink == 1:
+            return file
+        file.close()
+        return io.BytesIO()
+
+    async def _run(
+        self, command: Sequence[str], more: Mapping[str, str] = MappingProxyType({})
+    ) -> tuple[int, list[bytes]]:
+        """Run a command of the subject file within the adapter's walls; return its exit code and the lines that it prints.
+
+        Raises:
+            SubjectError: it cannot be run, or takes too long.
+        """
+        lines: list[bytes] = []
+        words = [str(replace_placeholders(word, {**self._placeholders, **more})) for word in command]
+        env = subject_environment(self._launched.env if self._launched is not None else {})
+        try:
+            process = await SubjectProcess.start(
+                words,
+                env=env,
+                cwd=None if self._launched is None else self._launched.cwd,
+                on_line=lambda _, line: lines.append(line) if len(lines) < _MOST_LINES else None,
+                on_overflow=lambda _: None,
+                walls=self._walls(),
+            )
+        except OSError as error:
+            raise SubjectError("cannot_start", f"{words[0]!r} cannot be run: {error.strerror}") from None
+        try:
+            await asyncio.wait_for(process.exited.wait(), _COMMAND_S)
+            await process.settle()
+        except TimeoutError:
+            raise SubjectError("cannot_start", f"{words[0]!r} did not end within {_COMMAND_S:g} s") from None
+        finally:
+            report = await process.stop(grace_s=0.0)
+        code = process.returncode if report.returncode is None else report.returncode
+        return -1 if code is None else code, lines
 
     async def footprint(self) -> Footprint:
         """Return what the processes of the session take of the machine."""
@@ -324,6 +534,10 @@ class AdapterUnderTest:
     async def listed(self) -> dict[str, ToolListing]:
         """Return what the session's ``tools/list`` says, name to entry, as far as it is judged."""
         return {name: entry for name in self._current().tools if (entry := self.listing(name)) is not None}
+
+    async def surface(self) -> dict[str, ToolSurface]:
+        """Return what a model reads of each tool of the session, by name."""
+        return {name: surface(entry) for name, entry in self._current().tools.items()}
 
     async def list_anew(self) -> str:
         """Ask for the list of tools again; see :meth:`pytest_otmcp.session.session.McpSession.list_anew`."""
@@ -362,6 +576,7 @@ class AdapterUnderTest:
         Raises:
             SubjectError: the adapter cannot be started. A failure that was found before is raised again at once, so that
                 not every item waits for a start that runs into its deadline.
+            NoBindingError: so it is because the tap before a real device cannot see what it asks for.
         """
         if self._start_failure is not None:
             raise self._start_failure
@@ -387,10 +602,12 @@ class AdapterUnderTest:
             await self._connect()
             await self._wait_until_ready()
         except SubjectError as failure:
+            await self.close()
+            if isinstance(self.device, FieldDevice):
+                self.device.see()
             # Without its device, or at one that refuses it as the kit has told it to, an adapter may have failed to start for that reason.
             well = self.device.running and not self.device.faulty
             self._start_failure = failure if well else None
-            await self.close()
             raise
 
     async def open_garbled(self) -> bool:
@@ -402,6 +619,14 @@ class AdapterUnderTest:
         if switch is None:
             return False
         self._garbled = {switch: _MEANINGLESS}
+        return await self._open_if_it_can()
+
+    async def open_without_certificate(self) -> bool:
+        """Start the adapter without the files of its own certificate, and return whether it started. There is no session yet."""
+        self._withheld = ("cert", "key")
+        return await self._open_if_it_can()
+
+    async def _open_if_it_can(self) -> bool:
         try:
             await self.open()
         except SubjectError:
@@ -409,7 +634,7 @@ class AdapterUnderTest:
             self._start_failure = None
             return False
         finally:
-            self._garbled = {}
+            self._garbled, self._withheld = {}, ()
         return True
 
     async def open_by_handshake(self) -> str | None:
@@ -627,11 +852,12 @@ class AdapterUnderTest:
             exchange = await session.read_resource(binding.tool, timeout_s=timeout_s)
         else:
             taken = self._taken(binding, inputs)
-            arguments = binding.fill(inputs, self.endpoint, taken)
-            tool = binding.tool
+            arguments = filled = binding.fill(inputs, self.endpoint, taken)
+            tool, writes = binding.tool, protocols()[self.adapter.protocol].operations[operation].writes
             if altered is not None:
                 arguments, tool = altered.applied(arguments), altered.tool or tool
-            self.check_address(tool, arguments, writes=protocols()[self.adapter.protocol].operations[operation].writes)
+            # What a check adds to a read is no way in which the adapter is told where its device is.
+            self.check_address(tool, arguments if writes else filled, writes=writes)
             self._called.add(tool)
             exchange = await session.call(tool, expanded(arguments), timeout_s=timeout_s, cancel=cancel)
             exchange = replace(exchange, arguments=arguments)
@@ -765,6 +991,13 @@ class AdapterUnderTest:
         )
         reply = observe(exchange, expected)
         return replace_outputs(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
+
+
+def _overwrite(file: BinaryIO, data: bytes) -> None:
+    file.seek(0)
+    file.truncate()
+    file.write(data)
+    file.flush()
 
 
 class _NoAnswerError(Exception):

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from ..core.capability import Capability
+from ..core.matrix import FIELD, REQUIREMENTS
 from ..core.verdict import Status
 from ..protocols.protocol import LAUNCHES
 from ..protocols.registry import protocols
@@ -13,10 +15,43 @@ from ..subject.model import Adapter
 from .rig import adapter_name
 from .task import Task
 
-__all__ = ["NO_ADAPTER", "applicability", "participants"]
+__all__ = ["NO_ADAPTER", "applicability", "participants", "why_not_in_field"]
 
 NO_ADAPTER = "the subject has no adapter for "
 """Beginning of the reason for which most items of a subject with one protocol do not apply."""
+
+
+_NEVER = {
+    "normal": "it sets values at the device past the adapter",
+    "fault": "it sets values at the device past the adapter, and makes it fail",
+    "stress": "it loads the device and cuts it off",
+    "recovery": "it stops and starts the device",
+    REQUIREMENTS: "it sets values at the device past the adapter, or makes it fail",
+}
+
+
+def why_not_in_field(task: Task, devices: Mapping[str, Mapping[str, object]]) -> str | None:
+    """Say why the task is not done at the real devices of a run; None when they are no obstacle.
+
+    Args:
+        devices: by protocol, as a run record has them; none in a run with mocks alone.
+    """
+    for key in task.protocols:
+        name = protocols()[key].name
+        if task.suite != FIELD:
+            if key in devices:
+                return f"{_NEVER[task.suite]}, which is never done to a real one ({name})"
+            continue
+        if key not in devices:
+            return f"no real device was named for {name}"
+        consent = devices[key]["consent"]
+        allowed = consent if isinstance(consent, Mapping) else {}
+        if Capability.OUTAGES in task.capabilities:
+            if "outage" not in allowed:
+                return f"no consent file has the commands that cut a real device off and bring it back ({name})"
+        elif Capability.READING not in task.capabilities and not allowed.get("writable"):
+            return f"without a consent file nothing is written to a real device ({name})"
+    return None
 
 
 def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, str] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..protocols.journal import Entries, JournalEntry
@@ -44,6 +45,26 @@ class AskedFor:
 
     def __init__(self) -> None:
         self._made: deque[_Made] = deque(maxlen=_KEPT)
+        self._on_its_way: list[tuple[str, str]] = []
+
+    def expect(self, labels: Iterable[str], *, item: str) -> None:
+        """Note the successful calls of a repetition that is over whose requests the device has not seen yet, one label for each.
+
+        A message that nobody answers, as one of QoS 0, may arrive after the repetition. Those of an earlier repetition are expected no
+        longer.
+        """
+        self._on_its_way = [(label, item) for label in labels]
+
+    def arrives(self, entry: JournalEntry, answers: Entries) -> bool:
+        """Say whether a request may be one that was on its way when the last repetition ended; it is expected no more then.
+
+        What the device answers has been seen before its call can be a success.
+        """
+        if answers or not self._on_its_way:
+            return False
+        label, item = self._on_its_way.pop(0)
+        self.add(entry, answers, label=label, item=item)
+        return True
 
     def add(self, entry: JournalEntry, answers: Entries, *, label: str, item: str) -> None:
         """Note a request with its answers and with the call that asked for it. What is very long is not kept."""

@@ -145,7 +145,7 @@ class Bench:
     async def close(self) -> None:
         """End every session: first those that anybody on this machine can tell to write, as long as they live."""
         every = list(self._adapters.values())
-        first = [one for one in every if one.adapter.url is not None and one.variant == READ_WRITE]
+        first = [one for one in every if one.adapter.url_of(one.variant) is not None and one.variant == READ_WRITE]
         with self.spent.on("adapter starts"):
             for wave in (first, [one for one in every if one not in first]):
                 await asyncio.gather(*(under_test.close() for under_test in wave), return_exceptions=True)

@@ -11,7 +11,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from ..protocols.journal import Entries
+from ..protocols.journal import HANDSHAKES, Entries
 from .ledger import Entry, Judged
 
 __all__ = ["LATE_NS", "CallWindow", "from_adapter", "windows"]
@@ -19,7 +19,7 @@ __all__ = ["LATE_NS", "CallWindow", "from_adapter", "windows"]
 LATE_NS = 50_000_000
 """How much later than the reply a message of the call that nobody answers may arrive."""
 
-_NO_MESSAGE = ("CONNECTED", "DISCONNECTED", "malformed", "lost")
+_NO_MESSAGE = ("CONNECTED", "DISCONNECTED", "malformed", "lost", *HANDSHAKES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,6 +21,11 @@ class DeviceInRig:
         return self._player.placeholders.get("url", "")
 
     @property
+    def placeholders(self) -> Mapping[str, str]:
+        """What the placeholders of a subject file stand for that say where it is."""
+        return self._player.placeholders
+
+    @property
     def addresses(self) -> list[tuple[str, int]]:
         """Host and port of each of its endpoints, the main one first."""
         return self._player.addresses

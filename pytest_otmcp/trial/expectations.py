@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from ..core.error_registry import registry
 from ..core.finding import Finding
 from ..core.strict_json import same_json
-from ..protocols.protocol import BOUNDS, LAUNCHES
+from ..protocols.protocol import BOUNDS, GOVERNANCE, LAUNCHES
 from ..protocols.registry import protocols
 from .reply import Reply
 
@@ -67,7 +67,7 @@ def _is_own_limit(reply: Reply) -> bool:
 
     A launch that was told limits has them on purpose, and a device that refuses a request may have a limit as well.
     """
-    if reply.variant == LAUNCHES[BOUNDS] or reply.member("error", "outcome") == "rejected":
+    if reply.variant in (LAUNCHES[BOUNDS], LAUNCHES[GOVERNANCE]) or reply.member("error", "outcome") == "rejected":
         return False
     said = reply.member("error", "message")
     return reply.error_code == "rate_limited" or (isinstance(said, str) and _OWN_LIMIT.search(said) is not None)

@@ -54,6 +54,7 @@ class Ledger:
         item: id of the task.
         origin: text from which random numbers of this execution are made.
         most_equal: how many findings of one kind are noted; None for all of them.
+        at_real: the devices are real ones, where no value can be set.
 
     Attributes:
         calls: in the order of their replies.
@@ -66,12 +67,20 @@ class Ledger:
     """
 
     def __init__(
-        self, role: Role, time_scale: float, *, item: str = "", origin: str = "", most_equal: int | None = None
+        self,
+        role: Role,
+        time_scale: float,
+        *,
+        item: str = "",
+        origin: str = "",
+        most_equal: int | None = None,
+        at_real: bool = False,
     ) -> None:
         self.role = role
         self.time_scale = time_scale
         self.item = item
         self.origin = origin
+        self.at_real = at_real
         self.refused: Finding | None = None
         self.inapplicable: str | None = None
         self.calls: list[Judged] = []

@@ -9,7 +9,6 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 from ..core.errors import NoBindingError, SubjectError
-from ..core.matrix import REQUIREMENTS
 from ..core.text import printable
 from ..core.verdict import Status
 from ..protocols.journal import Entries
@@ -17,7 +16,7 @@ from ..protocols.protocol import Declared
 from ..record.schema import Role, SessionRemark
 from ..session.process import StopReport
 from ..subject.model import READ_ONLY, READ_WRITE
-from .applicability import applicability, participants
+from .applicability import applicability, participants, why_not_in_field
 from .asked_for import AskedFor
 from .bench import Bench
 from .driver import ItemHistory, SessionFacts
@@ -53,6 +52,9 @@ class LiveDriver:
 
     def obstacle(self) -> tuple[Status, str] | None:
         """Say what the task needs and the subject does not claim, or cannot be asked for; None when it can be run."""
+        reason = why_not_in_field(self._task, self._bench.options.devices)
+        if reason is not None:
+            return Status.NOT_APPLICABLE, reason
         return applicability(self._task, self._bench.subject.adapters)
 
     def spent(self, what: str) -> AbstractContextManager[None]:
@@ -100,7 +102,7 @@ class LiveDriver:
             seed=self._seed,
             time_scale=self._bench.options.time_scale,
             soak=self._bench.options.soak,
-            is_check=self._task.suite == REQUIREMENTS,
+            suite=self._task.suite,
             rigs=map(Rig, self._players),
         )
 

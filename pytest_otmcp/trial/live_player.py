@@ -313,9 +313,15 @@ class LivePlayer(Player):
         return fresh
 
     async def start_garbled(self) -> bool:
+        return await self._started(self._under_test.open_garbled)
+
+    async def start_without_certificate(self) -> bool:
+        return await self._started(self._under_test.open_without_certificate)
+
+    async def _started(self, start: Callable[[], Awaitable[bool]]) -> bool:
         begun = time.monotonic_ns()
         with self._spent("adapter starts"):
-            started = await self._under_test.open_garbled()
+            started = await start()
         self._state.told_session = self.cursor.session
         self._noted({"garbled": self.cursor.began if started else None}, begun)
         return started

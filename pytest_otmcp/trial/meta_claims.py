@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 from ..core.finding import Finding
 from ..core.strict_json import same_json
-from ..protocols.journal import Entries, JournalEntry
+from ..protocols.journal import HANDSHAKES, Entries, JournalEntry
 from ..protocols.protocol import Declared, OtProtocol
 from .call_windows import LATE_NS, CallWindow, from_adapter
 from .ledger import Judged
@@ -53,12 +53,13 @@ def meta_faults(
         yield _without_traffic(call)
         return
     kinds = {entry["kind"] for entry in seen}
-    if call.reachable and not kinds & {"CONNECTED", "lost"}:
+    if call.reachable and not kinds & {"CONNECTED", "lost", "tls_plaintext"}:
         yield from _attempts(window, call, attempts, seen, protocol, declared)
     # Of what the device could not read it cannot say what was in it.
-    if attempts and call.reachable and not kinds & {"malformed", "lost"}:
-        # Requests that went to a connection that had ended, before a new one was made, were not read either.
-        if "CONNECTED" not in kinds or attempts <= len(from_adapter(seen)):
+    if attempts and call.reachable and not kinds & {"malformed", "lost", "tls_plaintext"}:
+        # Requests that went to a connection that had ended, before a new one was made, were not read either; what opens a session is none.
+        renewed = "CONNECTED" in kinds
+        if not renewed or (call.reply.success and attempts <= sum(entry["request"] for entry in from_adapter(seen))):
             yield from _trace(call, meta.get("trace"), seen, protocol)
         yield from _latency(window, call, meta.get("latency_ms"), attempts)
 
@@ -98,7 +99,7 @@ def _without_traffic(call: Judged) -> Finding:
 
 
 def _is_traffic(entry: JournalEntry) -> bool:
-    return entry["origin"] == "client" and entry["kind"] not in ("CONNECTED", "DISCONNECTED")
+    return entry["origin"] == "client" and entry["kind"] not in ("CONNECTED", "DISCONNECTED", *HANDSHAKES)
 
 
 def _attempts(
@@ -107,7 +108,7 @@ def _attempts(
     sent = from_adapter(seen)
     if attempts > len(sent):
         sent += _late(window, known={entry["seq"] for entry in seen})
-    if attempts > len(sent):
+    if attempts > len(sent) and call.reply.error_code not in _MAYBE_UNREAD:
         yield Finding(
             code="attempts",
             message=f"{call.reply.label}: meta.attempts says {attempts}, the device saw {len(sent)} request(s) during the call",
@@ -125,7 +126,7 @@ def _attempts(
         )
 
 
-_MAYBE_UNREAD = frozenset({"connect_failed", "connection_lost", "timeout", "protocol_error"})
+_MAYBE_UNREAD = frozenset({"connect_failed", "connection_lost", "timeout", "protocol_error", "tls_error"})
 """Failures of a connection: the device may have ended it before it read the request that the trace is about, and may have seen
 others of the same call, such as subscriptions that were made anew."""
 

@@ -190,6 +190,10 @@ class Player(ABC):
         """Start the adapter with a write switch whose value means nothing; return whether there is a session then."""
 
     @abstractmethod
+    async def start_without_certificate(self) -> bool:
+        """Start the adapter without the files of its own certificate; return whether there is a session then."""
+
+    @abstractmethod
     async def open_by_handshake(self) -> HandshakeEra:
         """Start the adapter anew in MCP's era of the handshake, if it speaks it."""
 

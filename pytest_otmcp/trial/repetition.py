@@ -12,6 +12,7 @@ from collections.abc import Coroutine, Iterable
 from typing import Any, NoReturn
 
 from ..core.finding import Finding
+from ..core.matrix import FIELD, REQUIREMENTS
 from ..core.strict_json import same_json
 from ..record.schema import Phases, Role
 from ..subject.model import READ_WRITE
@@ -40,7 +41,7 @@ class Repetition:
         time_scale: factor on windows and deadlines.
         rigs: every adapter at its device that the task has.
         soak: of the run.
-        is_check: the task is a check of the requirement suite: it ends once it finds nothing new, and its steps may have less in mind than a
+        suite: of the task. A check of the requirement suite ends once it finds nothing new; its steps, and those at a real device, may have less in mind than a
             tool's own schema allows, so that a refusal of the rest is no fault.
 
     Attributes:
@@ -62,16 +63,18 @@ class Repetition:
         time_scale: float,
         rigs: Iterable[Rig],
         soak: bool = False,
-        is_check: bool = False,
+        suite: str = "",
     ) -> None:
         self.rep = rep
         self.role = role
         self.time_scale = time_scale
         self.soak = soak
-        self._is_check = is_check
+        self._is_check = suite in (REQUIREMENTS, FIELD)
         origin = f"{seed}/{task_id}/{role}/{rep}"
-        most_equal = _MOST_EQUAL if is_check else None
-        self.ledger = Ledger(role, time_scale, item=task_id, origin=origin, most_equal=most_equal)
+        most_equal = _MOST_EQUAL if self._is_check else None
+        self.ledger = Ledger(
+            role, time_scale, item=task_id, origin=origin, most_equal=most_equal, at_real=suite == FIELD
+        )
         # The same seed gives the same nonces, whatever ran before.
         self.rng = random.Random(origin)
         self.phases: Phases | None = None

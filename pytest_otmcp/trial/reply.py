@@ -11,8 +11,9 @@ from ..core.finding import Finding
 from ..core.strict_json import parse_strict
 from ..protocols.envelope import check_result
 from ..protocols.journal import Entries, JournalEntry
+from ..protocols.protocol import GOVERNANCE, LAUNCHES
 from ..protocols.registry import protocols
-from ..session.exchange import CANCELLED, CONTENT_TOO_LARGE, Exchange
+from ..session.exchange import CANCELLED, REFUSALS, Exchange
 from ..subject.answers import (
     UNCLASSIFIED,
     Answer,
@@ -24,8 +25,15 @@ from ..subject.answers import (
 )
 from ..subject.model import Answering, Binding, OutputRule, placeholders
 
-__all__ = ["Expectation", "Reply", "kept_of", "observe", "replace_outputs"]
+__all__ = ["UNREAD", "Expectation", "Reply", "kept_of", "observe", "replace_outputs"]
 
+
+UNREAD = {
+    REFUSALS[401]: ("HTTP status 401: the caller is not known", "auth_failed"),
+    REFUSALS[403]: ("HTTP status 403: the caller may not do this", "access_denied"),
+    REFUSALS[413]: ("HTTP status 413: the request is too large", "limit_exceeded"),
+}
+"""What a refusal by HTTP status says, and the code that stands for it, by the failure of its exchange."""
 
 _WORDLESS = re.compile(
     r"""\s*(?:null|None|\{\}|\[\]|""|(?:error|exception|failed|failure)(?:\s+(?:calling|executing|in|while calling)\s+(?:tool\s+)?['"]?[\w./-]+['"]?)?)?"""
@@ -102,6 +110,7 @@ class Reply:
         faults: what is wrong with the reply as such, whatever the task expected of it.
         native: the envelope is the adapter's own.
         taken: the handles of earlier calls that the arguments hold, each by ``step.name``.
+        asks: the call has ended with a question for the client.
         excess: the bound of the tool's own schema that the arguments of a call that failed do not keep; None where they keep all.
     """
 
@@ -116,6 +125,7 @@ class Reply:
     listed: bool = True
     taken: Mapping[str, object] = field(default_factory=dict)
     excess: str | None = None
+    asks: bool = False
 
     @property
     def tool(self) -> str:
@@ -129,8 +139,8 @@ class Reply:
 
     @property
     def answered(self) -> bool:
-        """There is a response, or the refusal of a request that was too large to be read."""
-        return self.exchange.response is not None or self.exchange.failure == CONTENT_TOO_LARGE
+        """There is a response, or the refusal of a request that was not read."""
+        return self.exchange.response is not None or self.exchange.failure in UNREAD
 
     @property
     def cancelled(self) -> bool:
@@ -204,13 +214,20 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
     if exchange.response is None:
         if exchange.failure == CANCELLED:
             return silent
-        if exchange.failure == CONTENT_TOO_LARGE:
-            return replace(silent, envelope=_too_large(expected), native=False)
+        if exchange.failure in UNREAD:
+            return replace(silent, envelope=_unread(expected, exchange.failure), native=False)
         return replace(silent, faults=(_no_response(exchange, expected.deadline_s),))
     try:
         message = parse_strict(exchange.response)
     except ValueError as error:
         return replace(silent, faults=(_not_strict(exchange, exchange.response, error),))
+    if expected.variant == LAUNCHES[GOVERNANCE]:
+        if _asks(message):
+            words = "the adapter asks its client"
+            return replace(silent, envelope=_unapproved(expected, "required", words), native=False, asks=True)
+        if _is_refused_state(message):
+            words = "the state that the call brings is not taken"
+            return replace(silent, envelope=_unapproved(expected, "denied", words), native=False)
     # A tool that the session does not list has no envelope to be judged: the answer is read like prose.
     native = expected.answering.native and expected.listed
     envelope, faults = _read_envelope(exchange, message) if native else _read_answer(exchange, message, expected)
@@ -315,10 +332,31 @@ def _wordless(exchange: Exchange, text: str) -> Finding:
     )
 
 
-def _too_large(expected: Expectation) -> dict[str, Any]:
+def _unread(expected: Expectation, failure: str) -> dict[str, Any]:
     """Make an envelope for the refusal of a request that the adapter has not read."""
-    words = "HTTP status 413: the request is too large"
-    answer = Answer(success=False, document=None, text=words, code="limit_exceeded")
+    words, code = UNREAD[failure]
+    answer = Answer(success=False, document=None, text=words, code=code)
+    operation = protocols()[expected.adapter].operations[expected.operation]
+    return synthesised(answer, protocol=expected.adapter, operation=expected.operation, writes=operation.writes)
+
+
+def _asks(message: Mapping[str, object]) -> bool:
+    """Tell whether the call has ended with a question for the client (MCP 2026-07-28, Multi Round-Trip Requests)."""
+    result = message.get("result")
+    return isinstance(result, dict) and result.get("resultType") == "input_required"
+
+
+def _is_refused_state(message: Mapping[str, object]) -> bool:
+    """Tell whether the call is refused for the state that it brings, as the SDKs do it before a tool is called."""
+    error = message.get("error")
+    return (
+        isinstance(error, dict) and error.get("code") == -32602 and "requeststate" in str(error.get("message")).lower()
+    )
+
+
+def _unapproved(expected: Expectation, what: str, words: str) -> dict[str, Any]:
+    """Make an envelope for a call that has ended without the answer of a tool, since an approval is lacking."""
+    answer = Answer(success=False, document=None, text=words, code=f"approval_{what}")
     operation = protocols()[expected.adapter].operations[expected.operation]
     return synthesised(answer, protocol=expected.adapter, operation=expected.operation, writes=operation.writes)
 

@@ -27,10 +27,10 @@ from .ledger import Entry, Ledger
 from .limits import excess
 from .player import FreshSession, Player
 from .reply import Reply
-from .session_in_rig import SessionInRig
+from .session_in_rig import Guise, SessionInRig
 from .write_gate import EndedError, WriteGate
 
-__all__ = ["Command", "EndedError", "Entry", "Footprint", "FreshSession", "Rig", "adapter_name"]
+__all__ = ["Command", "EndedError", "Entry", "Footprint", "FreshSession", "Guise", "Rig", "adapter_name"]
 
 
 def adapter_name(protocol: str, variant: str) -> str:
@@ -332,6 +332,10 @@ class Rig(WriteGate):
         """After the session was closed, start the adapter with a write switch whose value means nothing; return whether there is a
         session then."""
         return await self._player.start_garbled()
+
+    async def start_without_certificate(self) -> bool:
+        """After the session was closed, start the adapter without the files of its own certificate; return whether there is a session then."""
+        return await self._player.start_without_certificate()
 
     async def close_session(self) -> None:
         """End the adapter's session and its process."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeVar
 
-from ..protocols.bounds import Bounds, Times
+from ..protocols.bounds import Bounds, Governance, Scopes, Times
 from ..protocols.protocol import Declared
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts
@@ -57,6 +57,11 @@ class SubjectInRig:
         return self._facts["recovery_s"]
 
     @property
+    def deadline_s(self) -> float:
+        """The time within which every call must have answered."""
+        return self._facts["deadline_s"]
+
+    @property
     def declared(self) -> Declared:
         """The lists of the protocol's own keys in the subject file."""
         return self._facts["lists"]
@@ -72,6 +77,21 @@ class SubjectInRig:
         """What follows from what the variant ``retimed`` was told; None where there is no such variant."""
         told = self._facts.get("times")
         return None if told is None else Times.of_record(told)
+
+    @property
+    def governance(self) -> Governance:
+        """What the variant ``governed`` was told; the steps that ask for it have that launch."""
+        return Governance.of_record(self._facts["governance"])
+
+    @property
+    def scopes(self) -> Scopes:
+        """Those of the callers of the variant ``tokens``; the steps that ask for it have that launch."""
+        return Scopes.of_record(self._facts["scopes"])
+
+    @property
+    def secured(self) -> Mapping[str, str]:
+        """Members that each handshake of the variant ``secure`` has in the journal, as far as the file says what was configured."""
+        return self._facts.get("secured", {})
 
     def probe(self, name: str) -> Any:
         """Return the value of this probe: the input to use where the request must be refused."""

@@ -10,8 +10,8 @@ from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 
 from ..core.capability import Capability
-from ..core.matrix import CROSS_PROTOCOL, SUITES, WARMED_UP
-from ..protocols.protocol import GUARD, LAUNCHES, WRITE
+from ..core.matrix import CROSS_PROTOCOL, KNOWN_SUITES, WARMED_UP
+from ..protocols.protocol import GUARD, LAUNCHES, SECURE, WRITE
 from ..protocols.registry import protocols
 from ..subject.model import READ_WRITE
 from .repetition import Repetition
@@ -32,7 +32,7 @@ class Task:
 
     Attributes:
         id: as the paper has it, such as ``M3``.
-        suite: one of :data:`~pytest_otmcp.core.matrix.SUITES`.
+        suite: one of :data:`~pytest_otmcp.core.matrix.KNOWN_SUITES`.
         title: the paper's sentence for it, printed in its tables.
         capabilities: the capabilities that the item is about.
         adapters: the adapters it needs: ``protocol``, or ``protocol@ro`` for the variant with writes disabled.
@@ -74,14 +74,16 @@ class Task:
 
     @property
     def writing(self) -> set[str]:
-        """Names of the adapters through which the task may write; a guard that does not hold writes as well."""
+        """Names of the adapters through which the task may write; a guard that does not hold writes as well. Over the secure form of a protocol
+        nothing is written."""
         facets = [facet.partition(".") for facet in self.needs]
         writing = {
             key
             for key, _, name in facets
             if name == WRITE or (name in (known := protocols()[key].operations) and known[name].writes)
         }
-        return writing | {*_launched(self.needs), *_launched(self.guards)}
+        launched = {*_launched(self.needs), *_launched(self.guards)}
+        return writing | {name for name in launched if not name.endswith(f"@{LAUNCHES[SECURE]}")}
 
     @property
     def warm_up(self) -> bool:
@@ -89,18 +91,20 @@ class Task:
         return self.suite in WARMED_UP
 
     def before(self, steps: Steps) -> Steps:
-        """Register the decorated steps, which run once before the repetitions."""
-        self._check(steps)
+        """Register the decorated steps, which run once before the repetitions; ValueError where there are some already."""
+        self._check(steps, replacing=self.begin)
         self.begin = steps
         return steps
 
     def after(self, steps: Steps) -> Steps:
-        """Register the decorated steps, which run once after the repetitions."""
-        self._check(steps)
+        """Register the decorated steps, which run once after the repetitions; ValueError where there are some already."""
+        self._check(steps, replacing=self.end)
         self.end = steps
         return steps
 
-    def _check(self, steps: Steps) -> None:
+    def _check(self, steps: Steps, *, replacing: Steps | None = None) -> None:
+        if replacing is not None:
+            raise ValueError(f"{self.id}: the steps {steps.__name__} would replace {replacing.__name__}")
         known = {name.replace("@", "_") for name in (*self.adapters, *_launched(self.guards))}
         for name in _rig_names(steps):
             if name not in known:
@@ -167,7 +171,7 @@ class Tasks(list[Task]):
         Raises:
             ValueError: the suite or the capability is unknown, or the steps name an adapter that the task does not have.
         """
-        if suite not in SUITES:
+        if suite not in KNOWN_SUITES:
             raise ValueError(f"{id}: unknown suite {suite!r}")
 
         def declare(steps: Steps) -> Task:

@@ -67,6 +67,8 @@ def unasked_writes(
         elif cancelled is not None:
             left[id(cancelled)] -= 1
             yield _carried_out(cancelled, protocol.describe(entry)), None
+        elif asked_for.arrives(entry, answers[entry["seq"]]):
+            continue
         elif (
             begun >= 0
             and not _writing(windows[begun], protocol)
@@ -75,6 +77,16 @@ def unasked_writes(
             yield _delivered(again, entry, windows[: begun + 1], protocol), None
         elif (found := _finding(windows[: begun + 1], entry, unsolicited[0], protocol, variant)) is not None:
             yield found
+    asked_for.expect(
+        (
+            call.reply.label
+            for window in windows
+            for call in window.calls
+            if call.reply.success
+            for _ in range(left[id(call)])
+        ),
+        item=item,
+    )
 
 
 def _begin(window: CallWindow) -> int:
@@ -122,13 +134,19 @@ def _carried_out(call: Judged, what: str) -> Finding:
 def delivered_before(
     entries: Entries, protocol: OtProtocol, *, asked_for: AskedFor, item: str
 ) -> tuple[list[Finding], Entries]:
-    """Return what was delivered again before an item, when nobody called the adapter, and the other entries."""
+    """Return what was delivered again before an item, when nobody called the adapter, and the entries that no call accounts for."""
     marked = [
         (entry, again)
         for entry in protocol.changes(entries)
         if entry.get("dup") and (again := asked_for.again(entry, protocol, item=item)) is not None
     ]
     seen = [entry["seq"] for entry, _ in marked]
+    seen += [
+        entry["seq"]
+        for entry in protocol.changes(entries)
+        if entry["seq"] not in seen
+        and asked_for.arrives(entry, [one for one in entries if one["answers"] == entry["seq"]])
+    ]
     findings = [_delivered(again, entry, (), protocol) for entry, again in marked]
     return findings, [entry for entry in entries if entry["seq"] not in seen]
 

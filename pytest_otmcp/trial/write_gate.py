@@ -1,6 +1,7 @@
 """The gate in front of everything that writes: a rig performs no writing operation before its session is proven.
 
-A session is proven when a random value came through it from the mock device, or to it (``proving``). One proof is enough until
+A session is proven when a random value came through it from the mock device, or to it (``proving``), or when values of a real device came
+through it (``field_proof``). One proof is enough until
 the session or the device is another one, or the mock did not see a write that was answered with success.
 """
 
@@ -10,12 +11,13 @@ import random
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 
-from ..core.errors import KitError
+from ..core.errors import KitError, NoBindingError
 from ..core.finding import Finding
 from ..protocols.journal import JournalEntry
 from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
 from .device_in_rig import DeviceInRig
+from .field_proof import prove_by_reading
 from .ledger import Ledger
 from .player import Player
 from .proving import prove, why_reachable
@@ -76,9 +78,17 @@ class WriteGate(ABC):
         if cursor.refused is not None:
             item, problem = cursor.refused
             self._refuse(f"as {item}: {problem}", cause=item)
-        self._proofs += 1
-        rng = random.Random(f"{self._ledger.origin}/proof/{self._proofs}/{self.device.url}")
-        operation, problem = await prove(self, rng, preferred=cursor.preferred, time_scale=self._ledger.time_scale)
+        if self._ledger.at_real:
+            try:
+                operation, problem = await prove_by_reading(self)
+            except NoBindingError as gap:
+                # A real device has what it has: that an adapter reads too little of it to be known is no fault of either.
+                self._ledger.inapplicable = str(gap)
+                raise EndedError from None
+        else:
+            self._proofs += 1
+            rng = random.Random(f"{self._ledger.origin}/proof/{self._proofs}/{self.device.url}")
+            operation, problem = await prove(self, rng, preferred=cursor.preferred, time_scale=self._ledger.time_scale)
         if operation is None:
             cursor.refused = (self._ledger.item, problem)
             self._refuse(problem)

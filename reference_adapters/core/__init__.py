@@ -91,6 +91,7 @@ from .numbers import EXACT_IN_JSON, exact_in_json, special_name
 from .server import AdapterServer
 from .settings import ConfigError, Environment
 from .text import device_text
+from .tls import client_context, handshake_failure
 from .tools import tool
 
 __all__ = [
@@ -110,8 +111,10 @@ __all__ = [
     "NameMap",
     "Named",
     "Nothing",
+    "client_context",
     "device_text",
     "exact_in_json",
+    "handshake_failure",
     "repeat_once",
     "resolve",
     "special_name",

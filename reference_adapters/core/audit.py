@@ -157,6 +157,9 @@ class Audit:
                 os.close(lock)
                 raise Broken("another process writes it") from None
             self._lock = lock
+        # To open a pipe is to wait for whoever reads it; what is written to a device is gone.
+        if self._path.exists() and not self._path.is_file():
+            raise Broken("it is no file")
         last, lost, whole_lines = _end(self._path) if self._path.exists() else (None, 0, True)
         continues = last is None
         if last is None and not self._started:

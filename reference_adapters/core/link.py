@@ -8,13 +8,15 @@ opened, whether it can be used, and how it is ended; ``modbus/link`` is the one 
 from __future__ import annotations
 
 import asyncio
+import ssl
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from .addresses import resolve
 from .call import Call
 from .errors import AdapterError
+from .tls import handshake_failure
 
 __all__ = ["BadReply", "DeviceLink", "Lost", "repeat_once"]
 
@@ -62,6 +64,7 @@ class DeviceLink(ABC, Generic[C]):
     Args:
         host, port: address of the device.
         timeout_s: seconds for connecting, and for each exchange.
+        tls: for a connection over TLS; None for one in clear.
 
     Attributes:
         peer: what messages call the device.
@@ -71,10 +74,11 @@ class DeviceLink(ABC, Generic[C]):
     peer = "device"
     failures: tuple[type[Exception], ...] = ()
 
-    def __init__(self, host: str, port: int, timeout_s: float) -> None:
+    def __init__(self, host: str, port: int, timeout_s: float, tls: ssl.SSLContext | None = None) -> None:
         self._host = host
         self._port = port
         self._timeout_s = timeout_s
+        self._tls = tls
         self._turn = asyncio.Lock()
         self._connection: C | None = None
         self._generation = 0
@@ -155,8 +159,15 @@ class DeviceLink(ABC, Generic[C]):
             raise self._unreachable(error) from None
 
     def _unreachable(self, error: Exception) -> AdapterError:
+        if self._tls is not None and (failure := handshake_failure(error, self.peer)) is not None:
+            return failure
         message = f"no connection to {self._host}:{self._port}; is the {self.peer} on, and is the address right?"
         return AdapterError("connect_failed", message, outcome="not_sent")
+
+    @property
+    def _security(self) -> dict[str, Any]:
+        """What asyncio's functions that connect are told of TLS."""
+        return {} if self._tls is None else {"ssl": self._tls, "server_hostname": self._host}
 
     def _drop(self, connection: C | None) -> None:
         if connection is not None and connection is self._connection:

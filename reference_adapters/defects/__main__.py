@@ -37,6 +37,8 @@ def main() -> int:
             print(f"usage: python -m pytest_otmcp.reference_adapters.defects {{--list | {known}}}", file=sys.stderr)
             return 2
     defect = DEFECTS[asked]
+    if defect.before is not None:
+        defect.before()
     try:
         module = f"..{protocol}.named" if defect.named else f"..{protocol}"
         server: AdapterServer = import_module(module, __package__).build()

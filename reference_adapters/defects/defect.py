@@ -57,6 +57,7 @@ class Defect:
         quick: it is run in every test run; the others are run with the long tests.
         anywhere: it is the same change of any adapter, and can be had at the adapter of every protocol.
         named: the adapter is the one with a vocabulary of its own.
+        before: is called before the adapter is built.
     """
 
     id: str
@@ -72,6 +73,7 @@ class Defect:
     quick: bool = False
     anywhere: bool = False
     named: bool = False
+    before: Callable[[], None] | None = None
 
     @property
     def catalogue_id(self) -> str:
@@ -80,7 +82,7 @@ class Defect:
 
 
 def defect(
-    id: str, protocol: str, sentence: str, change: Change, items: str, requirements: str | None = None, **more: bool
+    id: str, protocol: str, sentence: str, change: Change, items: str, requirements: str | None = None, **more: Any
 ) -> Defect:
     """Declare a defect.
 

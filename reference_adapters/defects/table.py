@@ -8,12 +8,14 @@ from . import (
     bacnet,
     claims,
     dnp3,
+    ethercat,
     ethernetip,
     life,
     modbus,
     mqtt,
     opcua,
     profibus,
+    profinet,
     refusals,
     s7,
     sparkplug,
@@ -37,6 +39,8 @@ _ALL = (
     *ethernetip.DEFECTS,
     *dnp3.DEFECTS,
     *profibus.DEFECTS,
+    *ethercat.DEFECTS,
+    *profinet.DEFECTS,
 )
 
 DEFECTS: dict[str, Defect] = {defect.id: defect for defect in sorted(_ALL, key=lambda one: number(one.id))}
@@ -48,7 +52,7 @@ PROTOCOLS = frozenset(defect.protocol for defect in _ALL)
 
 
 _FURTHER = {
-    defect.protocol for defect in (*s7.DEFECTS, *bacnet.DEFECTS, *ethernetip.DEFECTS, *dnp3.DEFECTS, *profibus.DEFECTS)
+    defect.protocol for one in (s7, bacnet, ethernetip, dnp3, profibus, ethercat, profinet) for defect in one.DEFECTS
 }
 """Protocols whose adapters need a library that is an extra; their defects stand for a row only where no other does."""
 

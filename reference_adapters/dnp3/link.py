@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ssl
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
@@ -36,14 +37,23 @@ class Link(DeviceLink[Connection]):
         timeout_s: seconds for connecting, and for each fragment of an answer.
         known: link addresses of the outstations that may send events unasked.
         clears_restart: the indication that an outstation has restarted is cleared when it has been seen.
+        tls: as of :class:`~..core.DeviceLink`.
     """
 
     peer = "outstation"
 
     def __init__(
-        self, host: str, port: int, master: int, timeout_s: float, *, known: set[int], clears_restart: bool
+        self,
+        host: str,
+        port: int,
+        master: int,
+        timeout_s: float,
+        *,
+        known: set[int],
+        clears_restart: bool,
+        tls: ssl.SSLContext | None = None,
     ) -> None:
-        super().__init__(host, port, timeout_s)
+        super().__init__(host, port, timeout_s, tls)
         self._master = master
         self._known = known
         self._clears_restart = clears_restart
@@ -154,7 +164,7 @@ class Link(DeviceLink[Connection]):
 
     async def _open(self) -> Connection:
         connection = Connection(self._master, self._known, self._keep)
-        await asyncio.get_running_loop().create_connection(lambda: connection, self._host, self._port)
+        await asyncio.get_running_loop().create_connection(lambda: connection, self._host, self._port, **self._security)
         self._cleared.clear()
         return connection
 

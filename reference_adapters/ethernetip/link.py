@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import ssl
 import struct
 
 from pylogix import PLC
@@ -47,6 +48,7 @@ class Link(DeviceLink[Connection]):
         host, port: address of the device that the controller is reached by.
         slot: of the controller in its chassis.
         timeout_s: seconds for connecting, and for each exchange.
+        tls: as of :class:`~..core.DeviceLink`.
 
     Attributes:
         builder: pylogix's controller, which builds paths and requests; it is never connected.
@@ -55,8 +57,8 @@ class Link(DeviceLink[Connection]):
     peer = "controller"
     failures = (EOFError, Refused)
 
-    def __init__(self, host: str, port: int, slot: int, timeout_s: float) -> None:
-        super().__init__(host, port, timeout_s)
+    def __init__(self, host: str, port: int, slot: int, timeout_s: float, tls: ssl.SSLContext | None = None) -> None:
+        super().__init__(host, port, timeout_s, tls)
         self.builder = PLC(host, slot, port=port)
         self._frames = self.builder.conn
         self._frames.Socket.close()
@@ -136,7 +138,7 @@ class Link(DeviceLink[Connection]):
     # -- connecting ---------------------------------------------------------------------------------------
 
     async def _open(self) -> Connection:
-        connection = Connection(*await asyncio.open_connection(self._host, self._port))
+        connection = Connection(*await asyncio.open_connection(self._host, self._port, **self._security))
         try:
             await self._register(connection)
             await self._forward_open(connection)

@@ -7,13 +7,14 @@ By default pymodbus sends a write again three times and reconnects by itself. He
 from __future__ import annotations
 
 import asyncio
+import ssl
 from collections.abc import Awaitable, Callable
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 
-from ..core import AdapterError, Call, DeviceLink, Lost
+from ..core import AdapterError, Call, DeviceLink, Lost, handshake_failure
 from .wire import Frame, is_other_reply, reply_pdu, request_facts
 
 __all__ = ["Link", "Send"]
@@ -34,11 +35,23 @@ _EXCEPTIONS = {
 }
 
 
-class _Connection:
-    """One TCP connection, and the bytes of its present exchange."""
+_NOT_AUTHORISED = 1
+"""Over TLS the exception of a function that a device does not offer also says that it refuses it to the role of the certificate (MODBUS/TCP
+Security Protocol Specification)."""
 
-    def __init__(self, host: str, port: int, timeout_s: float) -> None:
+
+class _Connection:
+    """One TCP connection, in clear or over TLS, and the bytes of its present exchange.
+
+    Attributes:
+        used: something was answered.
+        failure: why there is no connection, or why it has ended unused.
+    """
+
+    def __init__(self, host: str, port: int, timeout_s: float, tls: ssl.SSLContext | None) -> None:
         self.lost = False
+        self.failure: Exception | None = None
+        self.used = False
         self.request: Frame | None = None
         self.received = b""
         self.answered = False
@@ -54,6 +67,34 @@ class _Connection:
             trace_packet=self._packet,
             trace_pdu=self._pdu,
         )
+        if tls is not None:
+            self._secure(host, port, tls)
+
+    def _secure(self, host: str, port: int, tls: ssl.SSLContext) -> None:
+        """Let the client connect over TLS, with the frames of Modbus TCP (MODBUS/TCP Security Protocol Specification, section 4).
+
+        pymodbus' own client for TLS takes one record for one frame, and tells of a failed handshake only that there is no connection.
+        """
+        protocol = self.client.ctx
+        ended = protocol.connection_lost
+
+        def note(exc: Exception | None) -> None:
+            # With TLS 1.3 a device that refuses this side's certificate says so when the connection is open already.
+            if not self.used:
+                self.failure = exc
+            ended(exc)
+
+        async def connect() -> tuple[asyncio.BaseTransport, asyncio.BaseProtocol]:
+            try:
+                return await asyncio.get_running_loop().create_connection(
+                    protocol.handle_new_connection, host, port, ssl=tls, server_hostname=host
+                )
+            except OSError as error:
+                self.failure = error
+                raise
+
+        protocol.connection_lost = note  # type: ignore[method-assign]
+        protocol.call_create = connect
 
     async def exchange(self, call: Call, send: Send) -> ModbusPDU:
         """Send one request of this call and return its reply.
@@ -102,6 +143,7 @@ class _Connection:
 
     def _pdu(self, sending: bool, pdu: ModbusPDU) -> ModbusPDU:
         self.answered = not sending
+        self.used = self.used or self.answered
         return pdu
 
 
@@ -116,9 +158,14 @@ class Link(DeviceLink[_Connection]):
         Raises:
             AdapterError: no connection, no reply, a reply that does not belong to the request, or an exception reply.
         """
-        return _accepted(call, await self.perform(call, lambda connection: connection.exchange(call, send)))
+        pdu = await self.perform(call, lambda connection: connection.exchange(call, send))
+        return _accepted(call, pdu, secure=self._tls is not None)
 
     def _explained(self, call: Call, connection: _Connection, error: Exception) -> Exception:
+        if isinstance(connection.failure, ssl.SSLError) and (
+            refused := handshake_failure(connection.failure, self.peer)
+        ):
+            return refused
         if isinstance(error, OSError | ModbusException):
             if connection.received:
                 return AdapterError("protocol_error", "what the device sent is no valid reply to the request")
@@ -127,11 +174,11 @@ class Link(DeviceLink[_Connection]):
         return super()._explained(call, connection, error)
 
     async def _open(self) -> _Connection:
-        connection = _Connection(self._host, self._port, self._timeout_s)
+        connection = _Connection(self._host, self._port, self._timeout_s, self._tls)
         try:
             if await connection.client.connect():
                 return connection
-            raise ConnectionError
+            raise connection.failure or OSError
         except BaseException:
             connection.client.close()
             raise
@@ -143,10 +190,18 @@ class Link(DeviceLink[_Connection]):
         connection.client.close()
 
 
-def _accepted(call: Call, pdu: ModbusPDU) -> ModbusPDU:
+def _accepted(call: Call, pdu: ModbusPDU, *, secure: bool) -> ModbusPDU:
     if not pdu.isError():
         return pdu
     code = int(getattr(pdu, "exception_code", 0))
     call.trace["exception_code"] = code
     error, outcome, meaning = _EXCEPTIONS.get(code, ("protocol_error", "unknown", "unknown exception code"))
-    raise AdapterError(error, f"{meaning} (exception {code:02X})", outcome=outcome if call.writes else "not_applicable")
+    details = None
+    if secure and code == _NOT_AUTHORISED:
+        error, meaning, details = "access_denied", "the device refuses this function to the role", {"by": "device"}
+    raise AdapterError(
+        error,
+        f"{meaning} (exception {code:02X})",
+        outcome=outcome if call.writes else "not_applicable",
+        details=details,
+    )

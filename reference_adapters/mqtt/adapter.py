@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from urllib.parse import urlsplit
 
-from ..core import AdapterServer, ConfigError, Environment
+from ..core import AdapterServer, ConfigError, Environment, client_context
 from .connection import Endpoint
 from .edge_node import EdgeNode
 from .link import Link
@@ -64,10 +64,13 @@ def _endpoint(environment: Environment) -> Endpoint:
         raise expected
     if parts.username is not None:
         raise ConfigError("MQTT_URL: user name and password belong into MQTT_USERNAME and MQTT_PASSWORD")
-    tls = parts.scheme == "mqtts"
+    secure = parts.scheme == "mqtts"
+    tls = client_context(environment, "MQTT", always=secure)
+    if tls is not None and not secure:
+        raise ConfigError("MQTT_URL: expected mqtts://host:port, because there are settings of TLS")
     return Endpoint(
         host=parts.hostname,
-        port=port or (8883 if tls else 1883),
+        port=port or (8883 if secure else 1883),
         tls=tls,
         client_id=environment.text("MQTT_CLIENT_ID", "otmcp-adapter"),
         username=environment.optional("MQTT_USERNAME"),

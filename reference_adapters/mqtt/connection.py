@@ -26,7 +26,7 @@ import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode
 
-from ..core import AdapterError, Lost
+from ..core import AdapterError, Lost, handshake_failure
 
 __all__ = ["Connection", "Delivery", "Endpoint", "Message", "Will", "refusal_code"]
 
@@ -73,12 +73,13 @@ class Endpoint:
     """The broker's address, and the identity of this client.
 
     Attributes:
+        tls: for a connection over TLS; None for one in clear.
         timeout_s: seconds for connecting, and for each answer of the broker.
     """
 
     host: str
     port: int
-    tls: bool
+    tls: ssl.SSLContext | None
     client_id: str
     username: str | None
     password: str | None
@@ -163,8 +164,8 @@ class Connection:
         client.max_inflight_messages_set(0)
         if endpoint.username is not None:
             client.username_pw_set(endpoint.username, endpoint.password)
-        if endpoint.tls:
-            client.tls_set()
+        if endpoint.tls is not None:
+            client.tls_set_context(endpoint.tls)
         client.on_connect = lambda c, u, flags, reason, p: self._accepted(reason)
         client.on_disconnect = lambda c, u, flags, reason, p: self._ended(reason)
         client.on_message = lambda c, u, message: self._received(message)
@@ -204,11 +205,12 @@ class Connection:
         self._housekeeping = asyncio.create_task(self._keep_alive())
 
     def _no_connection(self, error: Exception) -> AdapterError:
+        failure = None if self._endpoint.tls is None else handshake_failure(error, "broker")
+        if failure is not None and not self.introduced:
+            return failure
         code, message = "connect_failed", f"no connection to {self._endpoint.uri}; is the broker running there?"
         if isinstance(error, socket.gaierror):
             code, message = "dns_error", "the broker's host name cannot be resolved"
-        elif isinstance(error, ssl.SSLError):
-            code, message = "tls_error", "the TLS handshake with the broker failed"
         elif isinstance(error, TimeoutError) and self.introduced:
             code, message = "timeout", "the broker did not answer CONNECT"
         return AdapterError(code, message, outcome="not_sent")

@@ -6,6 +6,7 @@ from urllib.parse import urlsplit
 
 from ..core import AdapterServer, ConfigError, Environment
 from .link import DEFAULT_PORT, Link
+from .security import Security
 from .tools import Tools
 
 __all__ = ["build"]
@@ -25,6 +26,7 @@ def build() -> AdapterServer:
         environment.seconds("OPCUA_TIMEOUT_S", 2.0),
         environment.optional("OPCUA_USERNAME"),
         environment.optional("OPCUA_PASSWORD"),
+        Security.of(environment, urlsplit(endpoint).hostname or ""),
     )
     server = AdapterServer(
         name="opcua-reference",

@@ -16,7 +16,8 @@ from asyncua.client.ua_client import UaClient, UaClientState
 from asyncua.observer import Observer
 from asyncua.ua.uaerrors import UaStatusCodeError
 
-from ..core import BadReply, Call, DeviceLink, Lost, repeat_once, resolve
+from ..core import AdapterError, BadReply, Call, DeviceLink, Lost, repeat_once, resolve
+from .security import Security
 from .status import refusal, trace_status
 
 __all__ = ["DEFAULT_PORT", "Link", "NodeFacts", "Session"]
@@ -138,16 +139,20 @@ class Link(DeviceLink[Session]):
         url: ``opc.tcp://host:port``.
         timeout_s: seconds for each step of connecting, and for each service call.
         username, password: credentials of the user; None is anonymous.
+        security: of the channel; None for none.
     """
 
     peer = "server"
 
-    def __init__(self, url: str, timeout_s: float, username: str | None, password: str | None) -> None:
+    def __init__(
+        self, url: str, timeout_s: float, username: str | None, password: str | None, security: Security | None = None
+    ) -> None:
         parts = urlsplit(url)
         super().__init__(parts.hostname or "", parts.port or DEFAULT_PORT, timeout_s)
         self._url = url
         self._username = username
         self._password = password
+        self.security = security
         self._farewells: set[asyncio.Task[None]] = set()
 
     async def perform(self, call: Call, exchange: Callable[[Session], Awaitable[T]]) -> T:
@@ -166,6 +171,8 @@ class Link(DeviceLink[Session]):
             client.set_user(self._username)
             client.set_password(self._password or "")
         try:
+            if self.security is not None:
+                await self.security.prepare(client)
             await client.connect()
         except BaseException:
             client.disconnect_socket()
@@ -178,6 +185,8 @@ class Link(DeviceLink[Session]):
             return await self._open()
         except UaStatusCodeError as fault:
             raise refusal(ua.StatusCode(fault.code), writes=call.writes) from None
+        except AdapterError:
+            raise
         except Exception as error:
             raise self._unreachable(error) from None
 

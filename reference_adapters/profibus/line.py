@@ -154,6 +154,10 @@ class Line:
                     if self._is_answer(telegram, found, acknowledged):
                         break
                     others = others or found.source != self.address
+        except AdapterError:
+            # It was refused before the wire: the station has not counted it.
+            self._counts.pop(station, None)
+            raise
         except (BadTelegram, _Lost, OSError, TimeoutError, asyncio.CancelledError) as error:
             # The station may have counted this request, and may still answer it.
             self._counts.pop(station, None)

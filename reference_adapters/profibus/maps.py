@@ -16,7 +16,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from ..core import ConfigError, Environment, Named
-from .codec import DataType, width
+from ..core.process_data import DataType, width
 
 __all__ = ["Alias", "Slave", "load_aliases", "load_slaves"]
 

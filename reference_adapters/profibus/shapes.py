@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
 from ..core import LEFT_OUT, AdapterError, AliasName, Arguments, BoundsCode
-from .codec import Value
+from ..core.process_data import Value
 from .telegram import MOST_DATA
 
 __all__ = [

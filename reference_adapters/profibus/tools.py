@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from ..core import AdapterError, AliasName, Call, NameMap, Nothing, device_text, tool
-from .codec import decode, encode
+from ..core.process_data import decode, encode
 from .diagnosis import NO_MASTER, Diagnosis
 from .gsd import BadGsd, DeviceFile, parse
 from .maps import Alias, Slave

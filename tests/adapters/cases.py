@@ -192,6 +192,7 @@ MODBUS = Case(
         ("MODBUS_TIMEOUT_S", "nan"),
         ("MODBUS_DEADLINE_S", "-1"),
         ("MODBUS_TAG_MAP", "/does/not/exist.json"),
+        ("MODBUS_TLS_CA", "/does/not/exist.pem"),
     ),
     unknown_host={"MODBUS_HOST": "no-such-host.invalid"},
     farewell=("DISCONNECTED",),
@@ -378,6 +379,7 @@ DNP3 = Case(
         ("DNP3_MASTER_ADDRESS", "-1"),
         ("DNP3_TIMEOUT_S", "nan"),
         ("DNP3_ALIAS_MAP", "/does/not/exist.json"),
+        ("DNP3_TLS_CA", "/does/not/exist.pem"),
     ),
     unknown_host={"DNP3_HOST": "no-such-host.invalid"},
     farewell=("DISCONNECTED",),
@@ -477,6 +479,7 @@ MQTT = Case(
         ("SPARKPLUG_GROUP_ID", "a/b"),
         ("SPARKPLUG_EDGE_NODE_ID", ""),
         ("MQTT_TIMEOUT_S", "0"),
+        ("MQTT_TLS_CA", "/does/not/exist.pem"),
     ),
     unknown_host={"MQTT_URL": "mqtt://no-such-host.invalid"},
     farewell=("DISCONNECT", "DISCONNECTED"),
@@ -488,6 +491,11 @@ MQTT = Case(
 _FAN, _TEMPERATURE = "ns=2;s=FanSpeed", "ns=2;s=Temperature"
 _METHOD = {"object_id": "ns=2;s=Methods", "method_id": "ns=2;s=SetProductionRate"}
 _SERVICES = {"call_opcua_method": "Call", "read_opcua_node": "Read"}
+# The Read with which the library of another adapter checks its server must not use a rule up.
+_SERVICE_RULES = {
+    "call_opcua_method": {"service": "Call"},
+    "read_opcua_node": {"service": "Read", "node": _TEMPERATURE},
+}
 
 
 def _opcua_settings(port: int, name: str, folder: Path) -> dict[str, str]:
@@ -521,7 +529,7 @@ OPCUA = Case(
     answered=("write_opcua_node", "write_multiple_opcua_nodes", "call_opcua_method"),
     requests=lambda tool: {"kind": _SERVICES.get(tool, "Write"), "direction": "in"},
     background=_is_watchdog,
-    rules=lambda tool: {"service": _SERVICES.get(tool, "Write")},
+    rules=lambda tool: _SERVICE_RULES.get(tool, {"service": "Write"}),
     image=("variables", "folders", "methods"),
     unfit=(
         Unfit("read_opcua_node", {}, "invalid_input"),
@@ -768,6 +776,7 @@ ETHERNETIP = Case(
         ("ETHERNETIP_TIMEOUT_S", "nan"),
         ("ETHERNETIP_DEADLINE_S", "-1"),
         ("ETHERNETIP_ALIAS_MAP", "/does/not/exist.json"),
+        ("ETHERNETIP_TLS_CA", "/does/not/exist.pem"),
     ),
     unknown_host={"ETHERNETIP_HOST": "no-such-host.invalid"},
     farewell=("forward_close", "unregister", "DISCONNECTED"),

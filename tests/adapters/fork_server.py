@@ -34,12 +34,14 @@ _PRELOADED = (
     "core.run",
     "core.stdio",
     "bacnet.adapter",
+    "ethercat.adapter",
     "ethernetip.adapter",
     "dnp3.adapter",
     "modbus.adapter",
     "mqtt.adapter",
     "opcua.adapter",
     "profibus.adapter",
+    "profinet.adapter",
     "s7.adapter",
 )
 

@@ -20,12 +20,6 @@ ZONE = {"device_id": 12345, "object_type": "analog-input", "object_instance": 1}
 VALVE = {"device_id": 12345, "object_type": "analog-output", "object_instance": 1}
 
 
-@pytest.fixture(scope="module")
-def hasty(rig: Any) -> Any:
-    """An adapter that does not wait long for an answer that does not come."""
-    return rig.start("hasty", writes="true", BACNET_TIMEOUT_S="0.6")
-
-
 def points(device: Any) -> dict[str, Any]:
     found: dict[str, Any] = device("image")["points"]
     return found
@@ -50,7 +44,11 @@ def test_what_the_device_holds_is_told(adapter: Any, device: Any) -> None:
     assert slots == [None] * 16
     assert adapter.call("read_property", **VALVE, property_id="priority-array", array_index=0).data["value"] == 16
     assert adapter.call("ping").data == {"reachable": True, "device_id": 12345}
-    (found,) = adapter.call("discover_devices", timeout_ms=50).data["devices"]
+    mark = device.mark()
+    identifier = adapter.start("discover_devices", {"timeout_ms": 4000})
+    device.wait(mark, direction="out")
+    adapter.pass_time()
+    (found,) = adapter.reply("discover_devices", identifier).data["devices"]
     assert (found["device_id"], found["vendor_id"]) == (12345, 999)
 
 
@@ -174,34 +172,44 @@ def test_a_present_value_is_one_value(adapter: Any, device: Any, action: dict[st
 @pytest.mark.parametrize(
     "action", [{"garbage": True}, {"truncate": 12}, {"invoke_id": 1}, {"drop": True}, {"lose": True}]
 )
-def test_a_read_without_an_answer_is_sent_again_once(hasty: Any, device: Any, action: dict[str, Any]) -> None:
-    hasty.call("read_property", **ZONE)
+def test_a_read_without_an_answer_is_sent_again_once(adapter: Any, device: Any, action: dict[str, Any]) -> None:
+    adapter.call("read_property", **ZONE)
     device.fault({"service": 12, "times": 1, "action": action})
     mark = device.mark()
-    reply = hasty.call("read_property", **ZONE)
+    identifier = adapter.start("read_property", ZONE)
+    device.wait(mark, kind="request")
+    adapter.pass_time()
+    reply = adapter.reply("read_property", identifier)
     assert reply.data["value"] == 72.5
     first, second = requests(device, mark)
     assert first["invoke_id"] != second["invoke_id"]
     assert reply.meta["attempts"] == 2
 
 
-def test_a_write_without_an_answer_is_not_sent_again(hasty: Any, device: Any) -> None:
-    hasty.call("read_property", **VALVE)
+def test_a_write_without_an_answer_is_not_sent_again(adapter: Any, device: Any) -> None:
+    adapter.call("read_property", **VALVE)
     device.fault({"service": WRITE_PROPERTY, "action": {"drop": True}})
     mark = device.mark()
-    reply = hasty.call("write_property", **VALVE, value=30.5)
+    identifier = adapter.start("write_property", {**VALVE, "value": 30.5})
+    device.wait(mark, kind="request")
+    adapter.pass_time()
+    reply = adapter.reply("write_property", identifier)
     assert (reply.error["code"], reply.error["outcome"]) == ("timeout", "unknown")
     assert len(requests(device, mark)) == reply.meta["attempts"] == 1
     assert reply.meta["connection"]["state"] == "disconnected"
     device.fault()
-    again = hasty.call("read_property", **VALVE)
+    again = adapter.call("read_property", **VALVE)
     assert again.data["value"] == 30.5
     assert again.meta["connection"]["state"] == "reconnected"
 
 
-def test_a_device_that_is_not_there_is_not_answered_for_by_another(hasty: Any, device: Any) -> None:
+def test_a_device_that_is_not_there_is_not_answered_for_by_another(adapter: Any, device: Any) -> None:
     mark = device.mark()
-    reply = hasty.call("read_property", **{**ZONE, "device_id": 54321})
+    identifier = adapter.start("read_property", {**ZONE, "device_id": 54321})
+    for count in (1, 2):
+        device.wait(mark, count, kind="request", service=8)
+        adapter.pass_time()
+    reply = adapter.reply("read_property", identifier)
     assert reply.error["code"] == "timeout"
     assert {request["service"] for request in requests(device, mark)} == {8}
 

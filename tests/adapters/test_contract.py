@@ -419,7 +419,7 @@ def test_another_name_is_answered_by_the_list_of_adapters(
     assert (done.returncode, done.stdout) == (2, "")
     assert (
         done.stderr
-        == "usage: python -m pytest_otmcp.reference_adapters {bacnet|dnp3|ethernetip|modbus|mqtt|opcua|profibus|s7}\n"
+        == "usage: python -m pytest_otmcp.reference_adapters {bacnet|dnp3|ethercat|ethernetip|modbus|mqtt|opcua|profibus|profinet|s7}\n"
     )
 
 

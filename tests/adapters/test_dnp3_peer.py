@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from pytest_otmcp.session.free_port import free_port
+
 OUTPUT = {"outstation_address": 10, "point_type": "analog_output", "index": 1, "writable": True}
 ALIASES = {"setpoint": {**OUTPUT, "data_type": "float32"}, "whole": {**OUTPUT, "data_type": "int16"}}
 CLASS_1 = {"outstation_address": 10, "event_class": 1}
@@ -21,9 +23,7 @@ class Outstation:
     """The program with an outstation of opendnp3."""
 
     def __init__(self) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
+        self.port = free_port(socket.socket)
         program = Path(__file__).with_name("opendnp3_outstation.py")
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(

@@ -423,7 +423,7 @@ def test_a_disk_that_becomes_full_during_a_write_does_not_undo_it(start: Start, 
     assert reply.meta["audit_id"] == f"{intent['seq']}:{intent['hash'][:16]}"
 
 
-@pytest.mark.parametrize("reason", ["folder", "lock", "other file"])
+@pytest.mark.parametrize("reason", ["folder", "lock", "other file", "pipe", "link to a device"])
 def test_a_log_that_cannot_be_used_refuses_writes_and_leaves_reads_alone(
     start: Start, device: Mock, log: Path, tmp_path: Path, reason: str
 ) -> None:
@@ -431,6 +431,10 @@ def test_a_log_that_cannot_be_used_refuses_writes_and_leaves_reads_alone(
         start()
     elif reason == "other file":
         log.write_bytes(b"something else\nof somebody\n")
+    elif reason == "pipe":
+        os.mkfifo(log)
+    elif reason == "link to a device":
+        log.symlink_to("/dev/null")
     else:
         log = tmp_path / "missing" / "audit.jsonl"
     client, mark = start(OT_AUDIT_LOG=str(log)), device.mark()

@@ -324,7 +324,7 @@ def test_a_connection_that_was_given_up_is_reset_so_that_the_kernel_sends_nothin
 async def test_a_connection_knows_its_end_before_the_loop_has_read_it() -> None:
     with mute_broker() as (listener, port):
         endpoint = Endpoint(
-            host="127.0.0.1", port=port, tls=False, client_id="c", username=None, password=None, timeout_s=PATIENCE_S
+            host="127.0.0.1", port=port, tls=None, client_id="c", username=None, password=None, timeout_s=PATIENCE_S
         )
         connection = Connection(endpoint, lambda message: None)
         opening = asyncio.create_task(connection.open(None))

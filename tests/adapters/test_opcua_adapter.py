@@ -38,7 +38,9 @@ def plant(rig: Any) -> Any:
 @pytest.fixture
 def fresh(adapter: Any, plant: Any) -> Any:
     """The adapter in a new session, in which it has read no facts about the server yet."""
-    plant.fault({"times": 1, "service": "Read", "action": {"service_fault": "BadSessionIdInvalid"}})
+    plant.fault(
+        {"times": 1, "service": "Read", "node": TEMPERATURE, "action": {"service_fault": "BadSessionIdInvalid"}}
+    )
     assert adapter.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
     plant.fault()
     return adapter
@@ -632,7 +634,7 @@ def test_a_namespace_uri_finds_its_node_wherever_the_server_puts_it(adapter: Any
 @pytest.mark.parametrize("symbol", ["BadSessionIdInvalid", "BadSessionClosed", "BadSecureChannelIdInvalid"])
 def test_a_lost_session_is_replaced_and_a_write_in_it_was_not_done(adapter: Any, plant: Any, symbol: str) -> None:
     adapter.call("write_opcua_node", node_id=FAN, value=1)
-    plant.fault({"service": "Read", "times": 1, "action": {"service_fault": symbol}})
+    plant.fault({"service": "Read", "node": TEMPERATURE, "times": 1, "action": {"service_fault": symbol}})
     reply = adapter.call("read_opcua_node", node_id=TEMPERATURE)
     assert (reply.envelope["success"], reply.meta["attempts"]) == (True, 2)
     adapter.call("write_opcua_node", node_id=FAN, value=1)
@@ -653,7 +655,7 @@ def test_a_write_is_not_sent_again_when_the_question_after_it_is_refused(
     adapter.call("write_opcua_node", node_id=FAN, value=1)
     plant.fault(
         {"service": "Write", "action": {"clamp": 80.0}},
-        {"service": "Read", "times": 1, "action": {"service_fault": symbol}},
+        {"service": "Read", "node": FAN, "times": 1, "action": {"service_fault": symbol}},
     )
     mark = plant.mark()
     reply = adapter.call("write_opcua_node", node_id=FAN, value=120)
@@ -728,7 +730,9 @@ def test_sessions_do_not_pile_up(rig: Any, plant: Any) -> None:
     mark = plant.mark()
     assert fresh.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
     for _ in range(5):
-        plant.fault({"service": "Read", "times": 1, "action": {"service_fault": "BadSessionIdInvalid"}})
+        plant.fault(
+            {"service": "Read", "node": TEMPERATURE, "times": 1, "action": {"service_fault": "BadSessionIdInvalid"}}
+        )
         assert fresh.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
     *lost, current = (entry["connection"] for entry in plant.since(mark, kind="CONNECTED"))
     assert len(lost) == 5

@@ -435,7 +435,7 @@ def test_outputs_that_the_slave_does_not_take_over_are_found_out(main: Bench) ->
 
 
 def test_a_slave_that_was_restarted_gets_no_outputs_unasked(bench: Any) -> None:
-    own = bench(PROFIBUS_WATCHDOG_S="0.2", PROFIBUS_CYCLE_S="0.02")
+    own = bench(PROFIBUS_WATCHDOG_S="1.0", PROFIBUS_CYCLE_S="0.02")
     own.drive(1, 2)
     with own.device.outage():
         identifier = own.adapter.start("read_inputs", {"slave_address": 5})

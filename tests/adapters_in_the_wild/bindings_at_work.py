@@ -230,6 +230,18 @@ async def writes_output_bytes(work: Work, operation: str) -> bool:
     return [points["5.output.0"], points["5.output.1"]] == [7, 8]
 
 
+async def reads_an_object(work: Work, operation: str) -> bool:
+    value = random.randrange(-(2**31), 2**31)
+    await work.device.poke(slave=1, object=[0x2001, 5], data=value.to_bytes(4, "little", signed=True).hex())
+    reply = await work.call(operation, slave=1, index=0x2001, subindex=5, type="INT32")
+    return bool(reply.outputs["value"] == value)
+
+
+async def writes_an_object(work: Work, operation: str) -> bool:
+    await work.call(operation, slave=1, index=0x2000, subindex=1, type="UINT16", value=321)
+    return bool((await work.device.image())["points"]["1:2000:1"] == 321 and len(work.changes) == 1)
+
+
 Check = Callable[[Work, str], Awaitable[bool]]
 
 CHECKS: dict[str, dict[str, Check]] = {
@@ -264,6 +276,8 @@ CHECKS: dict[str, dict[str, Check]] = {
         "ping": tells_the_state,
     },
     "profibus": {"read_inputs": reads_input_bytes, "write_outputs": writes_output_bytes, "ping": tells_the_state},
+    "ethercat": {"read_sdo": reads_an_object, "write_sdo": writes_an_object, "ping": tells_the_state},
+    "profinet": {"ping": tells_the_state},
 }
 
 

@@ -1,57 +1,48 @@
-"""``python -m tests.adapters_in_the_wild.field_report``: writes the generated sections of ``docs/field-report.md`` anew.
+"""``python -m tests.adapters_in_the_wild.field_report``: writes the generated sections of ``docs/field-report.md`` anew, and the page of
+each adapter in ``docs/field-report/``.
 
-``… field_report run NAME`` measures a row again before that: it installs the adapter, runs the suite and keeps the record;
-``run --all`` does so for every row.
+``… field_report from FLEET`` takes the records of a fleet of ``docs/examples/fleet.toml`` before that.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
-import time
 from pathlib import Path
 
 from tests.soundness.document import with_section
 
-from .examples import NAMES, NotInstalled
-from .page import details, side_by_side, table
-from .records import REPS, Unusable, measure, recorded, stored
+from .examples import NAMES
+from .page import adapter_page, matrix, side_by_side, table
+from .records import recorded, stored, take
 
-__all__ = ["DOCUMENT", "page"]
+__all__ = ["DOCS", "pages"]
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "field-report.md"
+DOCS = Path(__file__).parents[2] / "docs"
+_DOCUMENT = "field-report.md"
 
 
-def page() -> str:
-    """Return the document with its sections made from the records."""
+def pages() -> dict[str, str]:
+    """Return the document with its sections, and the pages of the adapters, made from the records; by their path in ``docs/``."""
     runs = {name: stored(name) for name in recorded()}
-    text = DOCUMENT.read_text(encoding="utf-8")
-    for name, section in (("table", table(runs, NAMES)), ("details", details(runs)), ("paper", side_by_side(runs))):
+    text = (DOCS / _DOCUMENT).read_text(encoding="utf-8")
+    for name, section in (("table", table(runs, NAMES)), ("matrix", matrix(runs)), ("paper", side_by_side(runs))):
         text = with_section(name, section, text)
-    return text
+    return {_DOCUMENT: text, **{f"field-report/{name}.md": adapter_page(name, run) for name, run in runs.items()}}
 
 
-def main() -> int:
+def main() -> None:
     """Read the command line and do what it says."""
     parser = argparse.ArgumentParser(prog="python -m tests.adapters_in_the_wild.field_report", description=__doc__)
     commands = parser.add_subparsers(dest="command")
-    run = commands.add_parser("run", help="measure rows again, then write the page")
-    run.add_argument("names", nargs="*", metavar="NAME", choices=[[], *NAMES], help="; ".join(NAMES))
-    run.add_argument("--all", action="store_true", help="every row")
-    run.add_argument("--reps", type=int, default=REPS, help=f"repetitions (default {REPS})")
+    commands.add_parser("from", help="take the records of a fleet, then write the pages").add_argument(
+        "fleet", type=Path
+    )
     args = parser.parse_args()
-    failed = False
-    for name in (NAMES if args.all else args.names) if args.command else []:
-        began = time.monotonic()
-        try:
-            measure(name, args.reps)
-            print(f"{name}: {time.monotonic() - began:.0f} s", flush=True)
-        except (NotInstalled, Unusable) as reason:
-            failed = True
-            print(f"{reason}; its row stays as it is", file=sys.stderr, flush=True)
-    DOCUMENT.write_text(page(), encoding="utf-8")
-    return int(failed)
+    for sentence in take(args.fleet) if args.command else ():
+        print(sentence)
+    for name, text in pages().items():
+        (DOCS / name).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

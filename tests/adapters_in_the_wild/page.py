@@ -1,4 +1,4 @@
-"""The generated sections of ``docs/field-report.md``: functions of the run records. Pure."""
+"""The generated sections of ``docs/field-report.md``, and its page for each adapter: functions of the run records. Pure."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from pytest_otmcp.core.verdict import Verdict
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.record.schema import Item, Run
 from pytest_otmcp.record.warnings import failing, said, warnings
-from pytest_otmcp.report import applied, applies, tally
+from pytest_otmcp.report import applies, tally
+from pytest_otmcp.report.capabilities import Grade, earned
 from pytest_otmcp.report.causes import Cause, causes
 from pytest_otmcp.report.markdown import code, escape
 from pytest_otmcp.suite import levels
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.suite.requirements import catalogue, requirements
+from pytest_otmcp.suite.spoken import spoken
 
 from .wire import wire
 
-__all__ = ["PAPER", "details", "side_by_side", "table"]
+__all__ = ["PAPER", "adapter_page", "matrix", "side_by_side", "table"]
 
 PAPER = "industriconnect"
 """The row of the paper's own code."""
@@ -29,7 +31,7 @@ _LATER = "industriagents"
 _HEAD = (
     "adapter",
     "speaks",
-    "items applied",
+    "items passed",
     "runs passed",
     "verdict",
     "causes",
@@ -61,21 +63,50 @@ def table(runs: Mapping[str, Run], names: Iterable[str]) -> str:
 
 
 def _row(name: str, run: Run) -> tuple[str, ...]:
-    found = causes(run)
-    listed = "<br>".join(f"{_cited(cause)}: {' '.join(cause.items)}" for cause in found)
     subject = run["subject"]
     good, planned = tally(run["items"])
     return (
-        f"[{escape(subject['name'])}](#{name}) {escape(subject['version'])}",
+        _linked(name, run),
         ", ".join(protocols()[key].name for key in subject["adapters"]),
-        applied(run).removesuffix(" items applied"),
+        _counted(run),
         f"{good} of {planned}",
         _verdict(run).lower(),
-        listed or _NONE,
+        str(len(causes(run)) or _NONE),
         str(len(warnings(run["items"])) or _NONE),
         _level(run),
         _certificate(run),
     )
+
+
+def _linked(name: str, run: Run) -> str:
+    subject = run["subject"]
+    return f"[{escape(subject['name'])}](field-report/{name}.md) {escape(subject['version'])}"
+
+
+_MARKS = {Grade.EARNED: "✓ earned", Grade.NOT_EARNED: "✗ not earned"}
+
+
+def matrix(runs: Mapping[str, Run]) -> str:
+    """Return the table of what each adapter has earned, a row for each protocol that it speaks."""
+    # A run without the requirement suite has no column for what that alone asks.
+    names = max(([heading.name for heading, _ in earned(run)] for run in runs.values()), key=len)
+    rows = []
+    for name, run in runs.items():
+        by_name = {heading.name: by_family for heading, by_family in earned(run)}
+        for key in run["subject"]["adapters"]:
+            family = protocols()[key].name
+            grades = [by_name[one][family].grade if one in by_name else None for one in names]
+            rows.append((_linked(name, run), family, *map(_marked, grades)))
+    return _table(["adapter", "protocol", *map(str.lower, names)], rows)
+
+
+def _marked(grade: Grade | None) -> str:
+    return "not measured" if grade is None else _MARKS.get(grade, grade.value)
+
+
+def _counted(run: Run) -> str:
+    found = spoken(run).values()
+    return f"{sum(one.passed for one in found)} of {sum(one.of for one in found)}"
 
 
 def _level(run: Run) -> str:
@@ -92,31 +123,36 @@ def _certificate(run: Run) -> str:
     return f"no: {'; '.join(reasons)}" if reasons else "yes"
 
 
-def details(runs: Mapping[str, Run]) -> str:
-    """Return a section for each adapter: the causes, with the wire beside them, and what the replies alone would have said."""
-    lines = []
-    for name, run in runs.items():
-        lines += [f'<a id="{name}"></a>', "", f"### {escape(run['subject']['name'])}", "", _summary(name, run), ""]
-        for number, cause in enumerate(causes(run), 1):
-            lines += _cause(number, cause)
-        for warning in warnings(run["items"]):
-            lines += [f"Warning: {code(said(warning))}", ""]
-    return "\n".join(lines)
+def adapter_page(name: str, run: Run) -> str:
+    """Return the page of an adapter: the causes, with the wire beside them, and what the replies alone would have said."""
+    head, row = _HEAD[1:], _row(name, run)[1:]
+    subject = run["subject"]
+    lines = [f"# {escape(subject['name'])} {escape(subject['version'])}", ""]
+    lines += [_table(head, [row]), _summary(name, run), ""]
+    found = causes(run)
+    if found:
+        lines += ["## Causes", ""]
+    for number, cause in enumerate(found, 1):
+        lines += _cause(number, cause)
+    if warned := warnings(run["items"]):
+        lines += ["## Warnings", "", *(f"- {code(said(warning))}" for warning in warned)]
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def _summary(name: str, run: Run) -> str:
     items = [item for item in run["items"] if item["suite"] in ("normal", "fault")]
     (good, planned), replies = tally(items), _claimed(items)
     return (
-        f"[Subject file](examples/{name}/otmcp.toml), [record](field-report/{name}.json.xz), of {run['environment']['started_at'][:10]}; "
-        f"again: `python -m tests.adapters_in_the_wild.field_report run {name}`. Of {planned} repetitions of the normal and the fault suite "
-        f"{replies} are as expected by what the replies claim, {good} when the device is asked, too."
+        f"Measured on {run['environment']['started_at'][:10]} with {run['settings']['reps']} repetitions. "
+        f"Of {planned} repetitions of the normal and the fault suite {replies} are as expected by what the replies claim, {good} when the "
+        f"device is asked, too.\n\n[Field report](../field-report.md) · [subject file](../examples/{name}/otmcp.toml) · "
+        f"[run record]({name}.json.xz)"
     )
 
 
 def _cause(number: int, cause: Cause) -> list[str]:
     rule = requirements().get(cause.rule)
-    lines = [f"**{number}. {_cited(cause)}** ({cause.family}), in {', '.join(cause.items)}:", ""]
+    lines = [f"### {number}. {_cited(cause)} ({cause.family})", "", f"In {', '.join(cause.items)}:", ""]
     lines += [code(_sentence(cause.first["message"])), ""]
     if rule is not None:
         lines += [f"> {rule.statement} ({rule.source})", ""]
@@ -142,7 +178,7 @@ def _sentence(message: str) -> str:
 def side_by_side(runs: Mapping[str, Run]) -> str:
     """Return the paper's table and what its public code, and its authors' later releases, do."""
     ours = [runs[name] for name in (PAPER, _LATER) if name in runs]
-    head = ["", "the paper"]
+    head = ["items", "the paper"]
     for run in ours:
         name = f"{run['subject']['name']} {run['subject']['version']}"
         head += [f"{name}: by the replies", "by the device"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -64,15 +63,12 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
     loop.run(shared.close())
 
 
-WHOLE_FIELD = "OTMCP_WHOLE_FIELD" in os.environ
-WHY_NOT = "OTMCP_WHOLE_FIELD=1 runs every adapter of the field report, otherwise every other one"
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.skipif(number % 2 > 0 and not WHOLE_FIELD, reason=WHY_NOT))
+        # A minute or more each.
+        pytest.param(name, marks=pytest.mark.weekly if number % 6 != 2 else ())
         for number, name in enumerate(recorded())
     ],
 )

@@ -30,8 +30,10 @@ _PACKAGES = (
     "@modelcontextprotocol/conformance@0.1.16",
     "@modelcontextprotocol/inspector@2.12.0",
     "node-opcua-client@2.182.2",
+    "node-opcua-server@2.182.2",
     "mqtt@5",
     "sparkplug-payload@1.0.3",
+    "axe-core@4.14.1",
 )
 
 

@@ -44,17 +44,20 @@ _HONEST = {
     "bacnet/reads-with-status-flags": "B2 B3 FB1 RD-001.bacnet",
     "ethernetip/symbol-instances": "E2 E3 FE1 ADR-003.ethernetip",
     "profibus/inputs-by-data-exchange": "P2 P3 FP1 RD-001.profibus",
+    "ethercat/inputs-by-process-data": "C2 C4 C5 FC1 RD-001.ethercat",
+    "profinet/inputs-of-the-next-frame": "N2 N3 FN1 RD-001.profinet",
 }
 """Honest neighbours and the items that their choice shows in."""
 
 _DEFECTS = """
     MU-02bac MU-02n MU-04e MU-05 MU-05w MU-06q MU-07 MU-07dnp MU-08ei MU-10p MU-11bac MU-11dnp MU-12 MU-13 MU-14bac
-    MU-14dnp MU-14p MU-15a MU-15n MU-16 MU-17 MU-19 MU-20bac MU-21c MU-22bac MU-24 MU-24r MU-26c MU-27 MU-28k MU-29q
-    MU-30d MU-33o MU-33w MU-34 MU-35 MU-35pb MU-37p MU-38 MU-41 MU-42 MU-43 MU-46d MU-46e MU-46s MU-46t MU-47b MU-48
-    MU-50 MU-51 MU-52g MU-52p MU-52r MU-53e MU-53h MU-53p MU-54e MU-55e MU-58ei MU-59b MU-60 MU-60t MU-61ei MU-62q
-    MU-63 MU-63dnp MU-64u MU-65b MU-66 MU-66p MU-68 MU-72 MU-74 MU-74v MU-76b MU-76d MU-77l MU-78n MU-79s MU-80 MU-81d
-    MU-81dnp MU-82 MU-84b MU-86 MU-87b MU-88 MU-89b MU-90ei MU-90p MU-91 MU-92k MU-99e MU-99f MU-107d MU-108e MU-108k
-    MU-109m MU-112n MU-117 MU-117b MU-118 MU-120b MU-122p MU-123b MU-124p MU-126k
+    MU-14dnp MU-14p MU-15a MU-15n MU-16 MU-17 MU-17pn MU-17ec MU-19 MU-20bac MU-21c MU-22bac MU-24 MU-24r MU-26c
+    MU-27 MU-28k MU-29q MU-30d MU-33o MU-33w MU-34 MU-35 MU-35pb MU-37eca MU-37p MU-38 MU-41 MU-42 MU-43 MU-46d
+    MU-46e MU-46s MU-46t MU-47b MU-48 MU-50 MU-51 MU-52g MU-52p MU-52r MU-53e MU-53ec MU-53h MU-53p MU-53pn MU-54e
+    MU-55e MU-58ei MU-59b MU-60 MU-60t MU-61ei MU-62q MU-63 MU-63dnp MU-64u MU-65b MU-66 MU-66p MU-68 MU-72 MU-74
+    MU-74v MU-76b MU-76d MU-77l MU-78n MU-79s MU-80 MU-81d MU-81dnp MU-82 MU-84b MU-86 MU-87b MU-88 MU-89b MU-90ei
+    MU-90p MU-91 MU-92k MU-99e MU-99f MU-107d MU-108e MU-108k MU-109m MU-112n MU-117 MU-117b MU-118 MU-120b MU-122p
+    MU-123b MU-124p MU-126k
 """.split()
 """Defects of every protocol. Together they show most requirements and codes of findings that any defect shows."""
 

@@ -66,7 +66,7 @@ _LOOK = "items[].parts[].observations[]"
 BELIEVED: Mapping[str, tuple[str, ...]] = {
     "the subject file says it: verify --subject compares the file": (
         "subject.(name|version|digest)",
-        "subject.adapters.*.(addressed_by|bindings|bounds|cached|call_limit|command|lists|offered|probes|times|unclaimed)**",
+        "subject.adapters.*.(addressed_by|bindings|bounds|cached|call_limit|command|governance|lists|offered|probes|scopes|times|unclaimed)**",
         "subject.adapters.*.(deadline_s|recovery|recovery_s|transport)",
     ),
     "the server says it of itself, or its program shows it": (

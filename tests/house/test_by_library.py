@@ -13,7 +13,8 @@ from pytest_otmcp.suite.requirements import requirements
 from tests.stock.test_typescript import FOUND
 
 CHECKOUT = Path(__file__).parents[2]
-PARTS = re.split(r'^<a id="([a-z0-9-]+)"></a>$', (CHECKOUT / PAGE).read_text(encoding="utf-8"), flags=re.MULTILINE)
+PATH = CHECKOUT / "docs" / f"{PAGE}.md"
+PARTS = re.split(r'^<a id="([a-z0-9-]+)"></a>$', PATH.read_text(encoding="utf-8"), flags=re.MULTILINE)
 FIRST = (CHECKOUT / "docs" / "first-adapter.md").read_text(encoding="utf-8")
 BY_ANCHOR = dict(zip(PARTS[1::2], PARTS[2::2], strict=True))
 
@@ -45,11 +46,11 @@ def test_every_finding_of_an_adapter_in_typescript_is_told_what_to_change(protoc
 
 
 def test_the_page_cites_rows_of_the_catalogue_alone() -> None:
-    text = (CHECKOUT / PAGE).read_text(encoding="utf-8")
+    text = PATH.read_text(encoding="utf-8")
     assert set(re.findall(r"\b[A-Z]{2,3}-\d{3}\b", text)) <= requirements().keys()
 
 
-@pytest.mark.parametrize("page", [PAGE, "docs/first-adapter.md"])
+@pytest.mark.parametrize("page", [f"docs/{PAGE}.md", "docs/first-adapter.md"])
 def test_the_files_that_a_page_names_are_there(page: str) -> None:
     text = (CHECKOUT / page).read_text(encoding="utf-8")
     assert [

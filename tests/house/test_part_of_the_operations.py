@@ -91,7 +91,7 @@ def test_who_asks_its_device_for_anything_is_taken_through_an_outage(key: str) -
             assert away == (expected if asking & set(part) else set()), (part, also)
 
 
-@pytest.mark.parametrize("key", OWN)
+@pytest.mark.parametrize("key", [pytest.param(key, marks=() if key == "modbus" else pytest.mark.long) for key in OWN])
 def test_what_is_claimed_is_earned_by_an_item_or_called_not_asked(key: str) -> None:
     for part in parts(key):
         kinds = {protocols()[key].operations[name].writes for name in part}

@@ -13,6 +13,7 @@ import base64
 import itertools
 import os
 import stat
+import sys
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,10 +27,12 @@ from ethernetip_tools import RawEip, cip, symbol
 from mock_program import PATIENCE_S, MockProgram, RefusedError
 from mqtt_tools import connect_bytes, frame, utf8
 from profibus_tools import Master, request
+from profinet_tools import Controller
 from pytest_otmcp.mocks.packages import built_in
 from s7_tools import RawS7, item
 
 from pytest_otmcp.core.journal_entry import JournalEntry
+from pytest_otmcp.session.cable import cable_refused
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -226,6 +229,56 @@ class ProfibusClient:
         self._master.close()
 
 
+class EthercatClient:
+    """A process in the network of the cable."""
+
+    async def open(self, program: MockProgram) -> None:
+        cable = program.ready_event["endpoints"]["ethercat"]
+        self._process = await asyncio.create_subprocess_exec(
+            *("nsenter", "-t", str(cable["join"]), "-U", "-n", "--preserve-credentials"),
+            *(sys.executable, str(Path(__file__).with_name("ethercat_client.py")), cable["path"]),
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+        )
+        await self._line()
+
+    async def _line(self) -> None:
+        assert self._process.stdout is not None
+        assert await asyncio.wait_for(self._process.stdout.readline(), PATIENCE_S)
+
+    async def _ask(self, word: bytes) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(word)
+        await self._line()
+
+    async def read(self) -> None:
+        await self._ask(b"read\n")
+
+    async def write(self) -> None:
+        await self._ask(b"write\n")
+
+    async def close(self) -> None:
+        self._process.kill()
+        await self._process.wait()
+
+
+class ProfinetClient:
+    """Reads and writes the record of slot 3."""
+
+    async def open(self, program: MockProgram) -> None:
+        self._controller = await Controller.join(program)
+        await self._controller.supervise()
+
+    async def read(self) -> None:
+        await self._controller.read(3, 3)
+
+    async def write(self) -> None:
+        await self._controller.write(3, 3, b"\7\0")
+
+    async def close(self) -> None:
+        await self._controller.close()
+
+
 class LatchClient(StreamClient):
     async def read(self) -> None:
         await self.exchange(b"\0", 1, lambda head: 0)
@@ -244,6 +297,7 @@ class Case:
     Attributes:
         client: function that makes a client.
         connectionless: a client has no connection whose beginning and end the journal could have.
+        on_cable: the device is at the end of a cable, which not every machine allows.
         one_client: several clients cannot be told apart, because they share one line.
         asked_by_connecting: kinds of the requests that opening and closing a connection make.
         asked_by_reading, asked_by_writing: kind of the one request that ``read`` or ``write`` makes.
@@ -256,6 +310,7 @@ class Case:
 
     client: Callable[[], AnyClient]
     connectionless: bool = False
+    on_cable: bool = False
     one_client: bool = False
     asked_by_connecting: Sequence[str] = ()
     asked_by_reading: str
@@ -496,6 +551,60 @@ CASES = {
             ({"action": {"answer_data": "0"}}, "at most 244 bytes as hexadecimal digits"),
         ],
     ),
+    "ethercat": Case(
+        client=EthercatClient,
+        connectionless=True,
+        on_cable=True,
+        one_client=True,
+        asked_by_reading="request",
+        asked_by_writing="request",
+        written=("1:2001:2", 7),
+        poke={"slave": 0, "inputs": "0802"},
+        poked=("0.input.0", 8),
+        wrong_pokes=[
+            ({}, "the poke lacks 'slave'"),
+            ({"slave": 2, "inputs": "00"}, "there is no slave 2; there are 0 to 1"),
+            ({"slave": 0}, "a poke has 'slave' and one of inputs, object"),
+            ({"slave": 0, "inputs": "00"}, "inputs: expected 2 bytes, found 1"),
+            ({"slave": 1, "object": [1, 1], "data": "00"}, "slave 1 has no object [1, 1]"),
+            ({"slave": 1, "refuses": 0}, "an integer from 1 to 65535"),
+            ({"slave": 1, "present": 1}, "expected true or false, found 1"),
+            ({"network": "rainy"}, "one of open, black_hole, stalled"),
+        ],
+        fault={"service": "sdo_upload", "action": {"abort": 1}},
+        wrong_rules=[
+            ({"action": {"abort": 0}}, "cannot have 0 as 'abort'"),
+            ({"service": "wish", "action": {"drop": True}}, "cannot have 'wish' as 'service'"),
+            ({"slave": 2, "action": {"drop": True}}, "cannot have 2 as 'slave'"),
+        ],
+    ),
+    "profinet": Case(
+        client=ProfinetClient,
+        connectionless=True,
+        on_cable=True,
+        one_client=True,
+        asked_by_reading="request",
+        asked_by_writing="request",
+        written=("3.1.record.3.0", 7),
+        poke={"slot": 3, "inputs": "08d5"},
+        poked=("3.1.input.0", 8),
+        wrong_pokes=[
+            ({}, "a poke has the members of one of these"),
+            ({"slot": 9, "inputs": "00"}, "there is no slot 9; there are 0, 1, 2, 3, 4"),
+            ({"slot": 3}, "found ['slot']"),
+            ({"slot": 3, "inputs": "00"}, "inputs: expected 2 byte(s)"),
+            ({"slot": 3, "index": 9, "record": "00"}, "there is no record 9; there are "),
+            ({"controller": 1}, "controller: expected true or false, found 1"),
+            ({"station": "nobody", "present": False}, "there is no station 'nobody'"),
+            ({"network": "rainy"}, "one of open, black_hole, stalled"),
+        ],
+        fault={"service": "read", "action": {"error": 3}},
+        wrong_rules=[
+            ({"action": {"error": 0}}, "cannot have 0 as 'error'"),
+            ({"service": "wish", "action": {"drop": True}}, "cannot have 'wish' as 'service'"),
+            ({"action": {"answer_data": "0"}}, "as 'answer_data'"),
+        ],
+    ),
     "thirdparty.latches": Case(
         client=LatchClient,
         asked_by_reading="ASK",
@@ -515,6 +624,8 @@ CASES = {
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module", params=CASES)
 async def program(request: pytest.FixtureRequest) -> AsyncIterator[MockProgram]:
+    if CASES[request.param].on_cable and (refusal := cable_refused()) is not None:
+        pytest.skip(f"no cable here: {refusal}")
     started = await MockProgram.start(request.param)
     try:
         await started.ready()

@@ -661,7 +661,7 @@ async def test_an_event_that_is_told_unasked_is_not_told_by_the_answer_to_a_poll
 
 
 async def test_an_answer_is_dropped_delayed_cut_or_replaced(device: MockProgram, raw: RawDnp3) -> None:
-    actions: list[dict[str, Any]] = [{"drop": True}, {"delay_s": 0.2}, {"truncate": 9}, {"garbage": True}]
+    actions: list[dict[str, Any]] = [{"drop": True}, {"delay_s": 0.6}, {"truncate": 9}, {"garbage": True}]
     await device.control.ask("fault", rules=[{"times": 1, "action": action} for action in actions])
     for sequence in range(1, 6):
         raw.send(READ, sequence=sequence)

@@ -13,6 +13,8 @@ import pytest
 import pytest_asyncio
 from mock_program import PATIENCE_S, MockProgram
 
+from pytest_otmcp.session.free_port import free_port
+
 pytestmark = pytest.mark.asyncio
 
 ENDPOINTS = ("stream", "datagram", "line")
@@ -166,8 +168,7 @@ async def test_the_ports_of_a_stopped_device_are_given_to_nobody(latches: MockPr
 async def test_the_first_endpoint_gets_the_port_that_is_asked_for(
     start_mock: Callable[..., Awaitable[MockProgram]],
 ) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port(socket.socket)
     program = await start_mock("thirdparty.latches", "--port", str(port))
     assert program.ready_event["endpoints"]["stream"]["port"] == port
 

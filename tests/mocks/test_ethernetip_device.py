@@ -480,7 +480,7 @@ async def test_a_write_is_acknowledged_and_not_done(device: MockProgram, raw: Ra
 
 
 async def test_an_answer_is_dropped_delayed_cut_or_replaced(device: MockProgram, raw: RawEip) -> None:
-    actions: list[dict[str, Any]] = [{"drop": True}, {"delay_s": 0.2}, {"truncate": 9}, {"garbage": True}]
+    actions: list[dict[str, Any]] = [{"drop": True}, {"delay_s": 0.6}, {"truncate": 9}, {"garbage": True}]
     await device.control.ask("fault", rules=[{"times": 1, "action": action} for action in actions])
     for tag in ("FanSpeed", "HeaterPower", "FanSpeed", "FanSpeed", "ValvePosition"):
         raw.send(cip(READ, symbol(tag), "0100"))

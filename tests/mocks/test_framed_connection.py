@@ -101,7 +101,7 @@ async def device() -> AsyncIterator[EchoDevice]:
         await serving.serve({"echo": listener})
         yield serving
         await serving.aclose()
-        await happened(serving, serving.connections, kind="DISCONNECTED")
+        await happened(serving, len(serving.entries.since(0, kind="CONNECTED")), kind="DISCONNECTED")
 
 
 @contextlib.asynccontextmanager
@@ -266,3 +266,21 @@ async def test_what_cannot_be_sent_any_more_is_not_recorded_as_sent(device: Echo
         device.network.become("black_hole")
         device.served[1].send(b"\x01c", None)
     assert [entry["connection"] for entry in device.entries.since(0) if entry["kind"] == "response"] == [1]
+
+
+async def test_a_late_answer_that_is_lost_is_not_recorded_as_sent(device: EchoDevice) -> None:
+    device.rule = AnswerRule(delay_s=0.01)
+    async with client(device):
+        await happened(device, 1, kind="CONNECTED")
+        [connection], [link] = device.served, device.network.links
+        # The request and the end of the network are in one turn of the loop: the answer cannot be earlier.
+        connection.frame(b"\x01a")
+        device.network.become("black_hole")
+        async with asyncio.timeout(PATIENCE_S):
+            # The link is dead when the answer has been lost; nothing else tells of it.
+            while not link.dead:  # noqa: ASYNC110
+                await asyncio.sleep(0.001)
+        device.network.become("open")
+        # Who lost something stays dead, so nothing comes later either.
+        connection.send(b"\x01b", None)
+        assert device.entries.since(0, kind="response") == []

@@ -218,10 +218,10 @@ async def test_a_mock_can_take_the_port_of_one_that_just_ended(
     ("arguments", "words"),
     [
         (
-            ["profinet"],
-            "there is no mock 'profinet'; there are bacnet, dnp3, ethernetip, modbus, mqtt, opcua, profibus, s7, sparkplug, and modules by their",
+            ["hart"],
+            "there is no mock 'hart'; there are bacnet, dnp3, ethercat, ethernetip, modbus, mqtt, opcua, profibus, profinet, s7, sparkplug, and modules",
         ),
-        (["thirdparty.profinet"], "thirdparty.profinet cannot be imported: No module named 'thirdparty.profinet'"),
+        (["thirdparty.hart"], "thirdparty.hart cannot be imported: No module named 'thirdparty.hart'"),
         (["thirdparty.nothing"], "thirdparty.nothing offers no mock: it lacks ENDPOINTS, warm, create"),
         (["thirdparty.terminal", "--port", "1502"], "--port: thirdparty.terminal serves on a pseudo terminal"),
         (["modbus", "--port", "70000"], "--port: expected 0 to 65535, found 70000"),

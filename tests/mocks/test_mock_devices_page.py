@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from pytest_otmcp.mocks.dnp3 import faults as dnp3
+from pytest_otmcp.mocks.ethercat import faults as ethercat
 from pytest_otmcp.mocks.ethernetip import faults as ethernetip
 from pytest_otmcp.mocks.medium import CONDITIONS
 from pytest_otmcp.mocks.modbus import faults as modbus
@@ -15,10 +16,13 @@ from pytest_otmcp.mocks.mqtt import faults as mqtt
 from pytest_otmcp.mocks.opcua import faults as opcua
 from pytest_otmcp.mocks.opcua.sample_nodes import SETS
 from pytest_otmcp.mocks.profibus import faults as profibus
+from pytest_otmcp.mocks.profinet import faults as profinet
 from pytest_otmcp.mocks.s7 import faults as s7
 
 from conftest import StartMock
+from pytest_otmcp.session.cable import cable_refused
 
+NEEDS_CABLE = pytest.mark.skipif(cable_refused() is not None, reason=f"no cable here: {cable_refused()}")
 PAGE = (Path(__file__).parents[2] / "docs" / "mock-devices.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^### (.+?)\n(.*?)(?=^##|\Z)", PAGE, re.MULTILINE | re.DOTALL))
 TABLES = {
@@ -29,6 +33,8 @@ TABLES = {
     "EtherNet/IP": ethernetip.TABLE,
     "DNP3": dnp3.TABLE,
     "PROFIBUS DP": profibus.TABLE,
+    "EtherCAT": ethercat.TABLE,
+    "PROFINET": profinet.TABLE,
 }
 ANY = SECTIONS["Any TCP device"]
 
@@ -59,6 +65,8 @@ def test_every_set_of_nodes_and_every_condition_of_the_network_is_on_the_page() 
         ("EtherNet/IP", "ethernetip"),
         ("DNP3", "dnp3"),
         ("PROFIBUS DP", "profibus"),
+        pytest.param("EtherCAT", "ethercat", marks=NEEDS_CABLE),
+        pytest.param("PROFINET", "profinet", marks=NEEDS_CABLE),
     ],
 )
 async def test_every_example_is_understood(start_mock: StartMock, protocol: str, mock: str) -> None:

@@ -157,7 +157,7 @@ async def test_a_dripped_answer_takes_its_time_and_the_next_one_waits_behind_it(
 
 
 async def test_pipelined_requests_are_answered_out_of_order(modbus: MockProgram, raw: Raw) -> None:
-    await modbus.control.fault({"delay_s": 0.2}, address=0)
+    await modbus.control.fault({"delay_s": 0.6}, address=0)
     raw.send("03 0000 0001", transaction=1)
     raw.send("03 0001 0001", transaction=2)
     assert await raw.frame() == (2, 1, "0302001e")
@@ -167,11 +167,14 @@ async def test_pipelined_requests_are_answered_out_of_order(modbus: MockProgram,
 
 async def test_a_late_answer_is_followed_by_normal_operation(modbus: MockProgram) -> None:
     await modbus.control.fault({"delay_s": 0.5}, times=1)
-    client = AsyncModbusTcpClient(modbus.host, port=modbus.port, timeout=0.2, retries=0)
+    client = AsyncModbusTcpClient(modbus.host, port=modbus.port, timeout=PATIENCE_S, retries=0)
     assert await client.connect()
     try:
-        with pytest.raises(Exception, match="No response"):
-            await client.read_holding_registers(0, count=1)
+        asked = asyncio.create_task(client.read_holding_registers(0, count=1))
+        await modbus.control.wait(kind="request")
+        # The client gives up, as after a time-out.
+        asked.cancel()
+        await asyncio.wait([asked])
         await modbus.control.wait(kind="response")
         client.close()
         assert await client.connect()
@@ -226,17 +229,6 @@ async def test_a_black_hole_accepts_and_never_answers(modbus: MockProgram, raw: 
     assert changes == [("black_hole", "kit"), ("open", "kit")]
     for one in (other, fresh):
         one.writer.close()
-
-
-async def test_a_late_answer_that_is_lost_is_not_in_the_journal(modbus: MockProgram, raw: Raw) -> None:
-    await modbus.control.fault({"delay_s": 0.1})
-    raw.send(READ_THREE)
-    await modbus.control.wait(kind="request")
-    await modbus.control.poke(network="black_hole")
-    assert await raw.silent()
-    assert await modbus.control.journal(kind="response") == []
-    await modbus.control.poke(network="open")
-    assert await raw.silent()
 
 
 async def test_a_stalled_network_goes_on_late(modbus: MockProgram, raw: Raw) -> None:

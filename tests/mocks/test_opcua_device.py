@@ -611,7 +611,7 @@ async def test_the_endpoint_offers_the_ways_to_log_in_that_work(device: MockProg
     assert endpoint.Server.ApplicationUri == "urn:otmcp:mock"
     assert (await client.get_namespace_array())[:3] == ["http://opcfoundation.org/UA/", "urn:otmcp:mock", URI]
     assert await client.get_node(ua.NodeId(ua.ObjectIds.Server_ServerArray)).read_value() == ["urn:otmcp:mock"]
-    named = Client(f"opc.tcp://{device.host}:{device.port}", timeout=PATIENCE_S)
+    named = Client(f"opc.tcp://{device.host}:{device.port}", timeout=PATIENCE_S, watchdog_intervall=600)
     named.set_user("operator")
     named.set_password("secret")
     async with named:

@@ -313,7 +313,7 @@ async def test_a_write_is_acknowledged_and_not_done(device: MockProgram, raw: Ra
 
 
 async def test_an_answer_is_dropped_delayed_cut_or_replaced(device: MockProgram, raw: RawS7) -> None:
-    actions: list[dict[str, Any]] = [{"drop": True}, {"delay_s": 0.2}, {"truncate": 9}, {"garbage": True}]
+    actions: list[dict[str, Any]] = [{"drop": True}, {"delay_s": 0.6}, {"truncate": 9}, {"garbage": True}]
     rules = [{"times": 1, "action": action} for action in actions]
     await device.control.ask("fault", rules=rules)
     for reference in range(1, 6):

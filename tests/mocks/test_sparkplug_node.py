@@ -26,6 +26,7 @@ from pytest_otmcp.mocks.mqtt.sparkplug import encode_payload
 from pytest_otmcp.mocks.sparkplug.simulator import broker_address
 
 from pytest_otmcp.protocols.mqtt.decoder import MqttConversation
+from pytest_otmcp.session.free_port import free_port
 from pytest_otmcp.wire.mqtt.sparkplug import decode_message
 
 NODE = "spBv1.0/factory/{}/edge-node-1"
@@ -392,9 +393,7 @@ def foreign_broker() -> Iterator[int]:
     mosquitto = shutil.which("mosquitto")
     if mosquitto is None:
         pytest.skip("mosquitto is not installed: the edge node was not tried at a foreign broker")
-    with socket.socket() as reserved:
-        reserved.bind(("127.0.0.1", 0))
-        port = reserved.getsockname()[1]
+    port = free_port(socket.socket)
     broker = subprocess.Popen([mosquitto, "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     try:
         assert broker.stderr is not None

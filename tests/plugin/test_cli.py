@@ -67,7 +67,7 @@ def test_help_names_every_command_and_imports_nothing_heavy(tmp_path: Path) -> N
         (["certify", "--out", "broken.toml"], "broken.toml"),
         (["verify", "nowhere.json", "nowhere.json"], "nowhere.json: there is no such file"),
         (["report", "nowhere.json"], "nowhere.json: there is no such file"),
-        (["mock", "ethercat"], "invalid choice: 'ethercat'"),
+        (["mock", "hart"], "invalid choice: 'hart'"),
         (["mock", "modbus", "--port", "70000"], "--port: expected 0 to 65535, found '70000'"),
         (["mock", "modbus", "--broker", "mqtt://127.0.0.1"], "--broker: the modbus mock has no such option"),
         (["mock", "sparkplug"], "the sparkplug mock needs --broker URL"),
@@ -123,6 +123,23 @@ def test_the_pages_of_the_documentation_are_listed_and_printed(capsys: pytest.Ca
         assert capsys.readouterr().out == (docs / name.removeprefix("docs/")).read_text()
     assert cli.main(["docs", "subjectfile"]) == 2
     assert capsys.readouterr().err == "otmcp: there is no page 'subjectfile'; did you mean 'subject-file'?\n"
+
+
+def test_a_part_of_a_page_is_printed_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["docs", "by-library#pymodbus"]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("## pymodbus ")
+    assert "## paho-mqtt" not in told
+    for name, refusal in (
+        ("by-library#pymodbs", "there is no part of by-library 'pymodbs'; did you mean 'pymodbus'?"),
+        ("quickstart#x", "there is no page 'quickstart'; known are "),
+        (
+            "subject-file#x",
+            "the page subject-file has no parts that can be asked for: 'otmcp docs subject-file' prints it",
+        ),
+    ):
+        assert cli.main(["docs", name]) == 2
+        assert capsys.readouterr().err.startswith(f"otmcp: {refusal}")
 
 
 @pytest.mark.parametrize("module", ["pytest_otmcp", "pytest_otmcp.cli", "pytest_otmcp.plugin"])
@@ -327,12 +344,12 @@ def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
 def concluded(record: dict[str, Any] | None, ended: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> int:
     """Return the exit code of a certification whose suite left this record."""
 
-    def suite(_subject: Path | None, _args: object, out: Path) -> int:
+    def suite(_subject: Path | None, out: Path, *_options: str) -> int:
         if record is not None:
             store(out / "run.json", record)
         return ended
 
-    monkeypatch.setattr("pytest_otmcp.cli.certify._run_suite", suite)
+    monkeypatch.setattr("pytest_otmcp.cli.certify.run_suite", suite)
     return cli.main(["certify", "--out", str(tmp_path)])
 
 

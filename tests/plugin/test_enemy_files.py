@@ -122,7 +122,8 @@ def test_every_command_that_reads_records_has_bounds(
     assert re.fullmatch(r"otmcp: refused: .*run\.json cannot be examined within 1024 MB of memory .*\n", told.err)
 
 
-@pytest.mark.parametrize("work", [verified, pytest.param(reported, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("work", [verified, reported])
 def test_the_bounds_are_plenty_for_a_genuine_record(path: Path, tmp_path: Path, work: Work) -> None:
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     (found,) = work(Path(shutil.copy(path, tmp_path)), Bounds(memory_mb=512, processor_s=30))[:1]

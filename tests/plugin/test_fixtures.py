@@ -277,6 +277,19 @@ def test_profibus(otmcp_profibus_device, otmcp_session):
     assert otmcp_session("profibus").call("read_inputs", slave=5).outputs["values"] == [4, 210]
     (asked,) = otmcp_profibus_device.wait_for(kind="request", service="rd_inp")
     assert asked.station == 5
+
+def test_ethercat(otmcp_ethercat_device, otmcp_session):
+    otmcp_ethercat_device.poke(0, bytes([4, 210]))
+    assert otmcp_session("ethercat").call("read_inputs", slave=0).outputs["values"] == [4, 210]
+    (asked,) = otmcp_ethercat_device.wait_for(kind="request", service="inputs")
+    assert asked.slave == 0
+
+def test_profinet(otmcp_profinet_device, otmcp_session):
+    otmcp_profinet_device.poke(3, bytes([4, 210]))
+    reply = otmcp_session("profinet").call("read_inputs", station="kit-device", slot=3, subslot=1)
+    assert reply.outputs["values"] == [4, 210]
+    (asked,) = otmcp_profinet_device.wait_for(kind="request", service="read")
+    assert (asked.slot, asked.index) == (3, 0x8028)
 """
 
 
@@ -284,7 +297,7 @@ def test_profibus(otmcp_profibus_device, otmcp_session):
 def test_devices_of_further_protocols_are_poked_and_say_what_they_have_seen(empty_repository: Repository) -> None:
     empty_repository.write(tests__test_it_py=FURTHER)
     outcome = empty_repository.pytest()
-    assert "5 passed" in outcome.output, outcome.output
+    assert "7 passed" in outcome.output, outcome.output
 
 
 THIRD_PARTY = """

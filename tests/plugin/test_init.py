@@ -325,6 +325,8 @@ def test_tools_of_another_vocabulary_are_proposed_with_the_effect_that_the_devic
 
 
 QUICK = ("mqtt",)
+DEVICES = """{"kit-device": {"vendor_id": "0ABC", "device_id": "0001", "modules": [
+{"slot": 2, "module": "00000020", "submodule": "00000001", "outputs": 8}]}}"""
 ENDPOINTS = {
     "mqtt": ["--env", "MQTT_URL={url}"],
     "opcua": ["--env", "OPCUA_URL={url}"],
@@ -339,19 +341,29 @@ ENDPOINTS = {
         ),
         *("--file", 'slaves.json={"5": {"ident": "809C", "cfg": "11 21"}}'),
     ],
+    "ethercat": ["--env", "ETHERCAT_INTERFACE={interface}", "--env", "ETHERCAT_WATCHDOG_S=2"],
+    "profinet": [
+        *("--env", "PROFINET_INTERFACE={interface}", "--env", "PROFINET_DEVICE_MAP={work}/devices.json"),
+        *("--file", f"devices.json={DEVICES}"),
+    ],
 }
 """How an adapter is told where its device is that is not told host and port."""
 
 PROVEN_ALTHOUGH_VOLUNTARY = {
     "modbus": {"read_coils", "read_discrete_inputs"},
     "mqtt": {"sparkplug_metrics", "send_node_command", "send_device_command"},
+    "profinet": {"read_record", "write_record"},
 }
 NOT_PROPOSED = {"s7": {"write_marker"}}
 """Operations that no tool of the reference adapter plainly matches: it writes a bit of a marker by a tool for any type."""
 
 
 @pytest.mark.parametrize(
-    "protocol", [pytest.param(name, marks=() if name in QUICK else pytest.mark.long) for name in OWN]
+    "protocol",
+    [
+        pytest.param(name, marks=() if name in QUICK else [pytest.mark.long, *[pytest.mark.weekly] * (number % 2)])
+        for number, name in enumerate(OWN)
+    ],
 )
 def test_every_tool_of_a_reference_adapter_is_found_and_proven(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str

@@ -458,6 +458,7 @@ def test_a_step_that_fails_is_the_reason_why_there_is_no_proposal(tmp_path: Path
     assert not (tmp_path / "otmcp.toml").exists()
 
 
+@pytest.mark.long
 def test_a_write_is_proven_at_several_addresses(init: Init) -> None:
     told, adapter = init("modbus", SETPOINT, PLC_HOST="{host}", PLC_PORT="{port}")
     assert (

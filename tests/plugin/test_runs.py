@@ -63,7 +63,10 @@ def test_a_narrowed_run_is_recorded_and_called_incomplete(repository: Repository
     tables.mkdir(parents=True)
     outcome = repository.pytest(*SUITE, *options, plugins=None, drawn=True)
     assert outcome.code == 1, outcome.output
-    assert "VERDICT: INCOMPLETE (2 of 38 items applied, 8/8 runs passed; 36 of 38 items did not run" in outcome.output
+    assert (
+        "VERDICT: INCOMPLETE (2 of 11 Modbus items passed; 8/8 runs passed; 36 of 38 items did not run"
+        in outcome.output
+    )
     record = outcome.record
     assert record["schema"] == "otmcp-run/3"
     assert [item["id"] for item in record["items"]] == ["M2", "FM1"]
@@ -106,11 +109,17 @@ def test_programs_read_verdict_rule_and_what_is_new_since_an_earlier_run(reposit
     later = repository.pytest(*SUITE, *options, f"--otmcp-baseline={earlier}")
     assert "; since the baseline 1 new (RD-001 Modbus))" in later.output, later.output
     told = json.loads((later.report / "verdict.json").read_text())
+    counted = {"of": 11, "passed": 1, "failed": 1, "unclaimed": 0}
     assert [(one["rule"], one["code"], one["items"]) for one in told["causes"]] == [("RD-001", "wrong_value", ["M2"])]
-    assert (told["verdict"], told["items"], told["levels"]) == (later.verdict, {"passed": 1, "applied": 2}, {})
+    assert (told["verdict"], told["items"], told["levels"]) == (later.verdict, {"Modbus": counted}, {})
     tree = ElementTree.parse(repository.root / "junit.xml")
     found = [(entry.get("name"), entry.get("value")) for entry in tree.iter("property")]
-    assert found == [("otmcp_verdict", later.verdict), ("otmcp_rule", "RD-001")]
+    assert found == [
+        ("otmcp_verdict", later.verdict),
+        ("otmcp_items", "1 of 11 Modbus items passed, 1 did not"),
+        ("otmcp_catalogue", told["catalogue"]),
+        ("otmcp_rule", "RD-001"),
+    ]
     again = repository.pytest(*SUITE, *options, "--otmcp-baseline=reports/latest/run.json")
     assert "; since the baseline nothing has changed)" in again.output
     repository.subject("none")
@@ -201,6 +210,10 @@ def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_runnin
         f'command = ["{{python}}", "{{dir}}/silent.py", "{port_of(waiting)}"]\nunclaimed = {{ guard = "says nothing" }}\n'
         f"{OUTSIDE}",
     )
+    reports = repository.root / "reports" / "latest"
+    reports.mkdir(parents=True)
+    for name in ("run.json", "report.html", "verdict.json"):
+        (reports / name).write_text("of an earlier run", encoding="utf-8")
     with started(repository, "--otmcp-reps=1") as process:
         connection, _ = waiting.accept()
         with connection:
@@ -209,8 +222,35 @@ def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_runnin
             output, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == pytest.ExitCode.INTERRUPTED, output
     assert "VERDICT: INCOMPLETE (interrupted before the first item)" in output
+    assert list(reports.iterdir()) == []
     assert "Traceback" not in output
     assert all_end(running)
+
+
+INTERRUPTING = """
+import os, signal, time
+
+def pytest_{stage}(session):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("stage", ["collection", pytest.param("sessionstart", marks=pytest.mark.long)])
+def test_a_run_that_is_interrupted_before_its_items_are_known_leaves_no_report_of_an_earlier_one(
+    repository: Repository, stage: str
+) -> None:
+    repository.write(conftest_py=INTERRUPTING.format(stage=stage))
+    reports = repository.root / "reports" / "latest"
+    reports.mkdir(parents=True)
+    for name in ("run.json", "report.html", "verdict.json"):
+        (reports / name).write_text("of an earlier run", encoding="utf-8")
+    with started(repository, "--otmcp-reps=1") as process:
+        output, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == pytest.ExitCode.INTERRUPTED, output
+    assert "VERDICT: INCOMPLETE (interrupted before the items were collected)" in output
+    assert list(reports.iterdir()) == []
 
 
 HTTP = """
@@ -442,14 +482,15 @@ def test_a_narrow_terminal_without_colours_shows_progress_and_no_line_breaks_at_
     shown = screen(told[told.index("collected") : told.index("= short test summary")])
     assert max(map(len, shown)) <= columns
     assert max(len(part) for part in parts if part.startswith(("  M1", "  FM1", "  starting"))) <= columns
-    rows = [line for line in shown if re.match(r"  (?:\S+ +\d/\d|starting|n/a)", line)]
+    items = shown[: next(index for index, line in enumerate(shown) if line.startswith("suite "))]
+    rows = [line for line in items if re.match(r"  (?:\S+ +\d/\d|starting|n/a)", line)]
     assert [row.split()[0] for row in rows] == ["M1", "M4", "n/a", "FM1", "n/a"]
     assert re.match(r"  M4 +2/2 FAIL +[\d.]+ ms  control failed", rows[1])
     assert rows[2].split()[1:3] == ["Q1", "Q2"]
-    assert rows[2].endswith("%]")
+    assert rows[-1].endswith("%]")
     assert not [line for line in shown if re.match(r"\s*\[? *\d+%\]", line)]
     verdict = next(
-        index for index, line in enumerate(shown) if line.startswith("VERDICT: NOT CONFORMANT (3 of 38 items")
+        index for index, line in enumerate(shown) if line.startswith("VERDICT: NOT CONFORMANT (2 of 11 Modbus items")
     )
     assert shown[verdict + 1].startswith("  ")
     assert "FAILURES" not in told
@@ -468,6 +509,20 @@ def test_a_narrow_terminal_without_colours_shows_progress_and_no_line_breaks_at_
         ("--otmcp-era=stone", "--otmcp-era: 'stone' is unknown"),
         ("--otmcp-time-scale=fast", "--otmcp-time-scale: expected a number, found 'fast'"),
         ("--otmcp-broker=http://x", "--otmcp-broker: expected mqtt://host:port, found 'http://x'"),
+        (
+            "--otmcp-device=mqtt=mqtt://x",
+            "real devices are taken for modbus, opcua, s7, not for 'mqtt'; use --otmcp-broker",
+        ),
+        ("--otmcp-device=dnp3=tcp://x", "--otmcp-device: real devices are taken for modbus, opcua, s7, not for 'dnp3'"),
+        ("--otmcp-device=opcua=opc.tcp://x/UA/Server", "--otmcp-device: expected opc.tcp://host:port, found"),
+        ("--otmcp-device=opcua=opc.tcp://x/ns=2;s=a?b", "--otmcp-device: expected opc.tcp://host:port, found"),
+        ("--otmcp-device=modbus=http://x", "--otmcp-device: expected tcp://host:port, found 'http://x'"),
+        ("--otmcp-device=modbus=tcp://x/70000", "--otmcp-device: expected tcp://host:port, found 'tcp://x/70000'"),
+        ("--otmcp-device=modbus=tcp://x:0", "--otmcp-device: expected tcp://host:port, found 'tcp://x:0'"),
+        ("--otmcp-device=opcua=opc.tcp://x/i=4294967296", "--otmcp-device: expected opc.tcp://host:port, found"),
+        ("--otmcp-device=opcua=opc.tcp://x/ns=65536;s=a", "--otmcp-device: expected opc.tcp://host:port, found"),
+        ("--otmcp-device=modbus=tcp://me:secret@x", "--otmcp-device: expected tcp://host:port"),
+        ("--otmcp-consent=nowhere.toml", "--otmcp-consent: "),
         ("--otmcp-subject=nowhere.toml", "nowhere.toml: there is no such file"),
     ],
 )
@@ -476,6 +531,12 @@ def test_a_bad_option_is_refused_in_one_sentence(pytester: pytest.Pytester, opti
         read_settings(pytester.parseconfig(option))
     assert sentence in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_the_address_of_a_real_device_keeps_its_brackets(pytester: pytest.Pytester) -> None:
+    named = ("--otmcp-device=modbus=tcp://[::1]", "--otmcp-device=opcua=opc.tcp://[FE80::1]:4841/ns=65535;i=4294967295")
+    found = read_settings(pytester.parseconfig(*named)).external
+    assert found == {"modbus": "tcp://[::1]:502", "opcua": "opc.tcp://[fe80::1]:4841/ns=65535;i=4294967295"}
 
 
 @pytest.mark.parametrize(

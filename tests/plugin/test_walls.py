@@ -38,7 +38,7 @@ def reference(protocols: Collection[str], launch: str) -> str:
     """Return the subject file of the reference adapters for these protocols, started in another way."""
     shipped = resources.files("pytest_otmcp.subject").joinpath("reference.toml").read_text(encoding="utf-8")
     assert LAUNCH in shipped
-    tables = re.split(r"(?m)^(?=\[)", shipped.replace(LAUNCH, launch))
+    tables = re.split(r"(?m)^(?=\[(?:subject|adapter)\b)", shipped.replace(LAUNCH, launch))
     names = [re.match(r"\[adapter\.(\w+)", table) for table in tables]
     return "".join(table for table, name in zip(tables, names, strict=True) if name is None or name[1] in protocols)
 
@@ -61,6 +61,7 @@ def run(tmp_path: Path, outside: Outside) -> Run:
 MODES = [("require", set[str]()), pytest.param("off", ALL, marks=pytest.mark.long)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("mode", "came"), MODES)
 def test_doctor(run: Run, outside: Outside, mode: str, came: set[str]) -> None:
     done = run(("modbus",), "-m", "pytest_otmcp.cli", "doctor", "--subject=reaching.toml", f"--isolation={mode}")

@@ -116,7 +116,7 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
     ) -> Results:
         if command is None:
             first = (str(HERE / program[0]),) if program[0].endswith(".py") else (program[0],)
-            command = (*warm_start.python, *first, *program[1:])
+            command = (*warm_start.words(protocol), *first, *program[1:])
         genuine = named_subject() if named else reference_subject()
         subject = with_command(warm_start.subject(genuine), protocol, command)
         if described is not None:

@@ -102,6 +102,7 @@ class Shape:
         return [
             {
                 "name": name,
+                "description": f"{name.replace('_', ' ').capitalize()}.",
                 "inputSchema": self._schema(arguments),
             }
             for name, (arguments, _) in self.tools.items()

@@ -23,7 +23,7 @@ import paho.mqtt.client as paho
 from foreign import Failure, Result, Shape, json_text, prose, structured
 
 ANSWER_S = 3.0
-LATER_S = 0.03
+LATER_S = 0.2
 REFUSED = 0x80
 LONGEST = 65_535
 """Bytes of a topic that a packet can say."""

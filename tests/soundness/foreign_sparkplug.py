@@ -292,6 +292,9 @@ class Host:
                 raise Failure("mismatch", f"{one['name']} is of another type")
         if self._lie == "all-nodes":
             topic = topic.replace(f"/{node}", f"/{node}-2")
+        if self._lie == "a-moment-later":
+            threading.Timer(0.005, self.client.publish, (topic, payload)).start()
+            return
         for _ in range(2 if self._lie == "sends-twice" else 1):
             info = self.client.publish(topic, payload, qos=0, retain=self._lie == "retained-commands")
             if info.rc:

@@ -117,6 +117,8 @@ _OTHER = re.compile(
     r"nothing was written|the kit itself|was reported dead|success is True while|exited with|last stderr lines|the connect step|that the adapter is ready|its text is|"
     r"refused in a result|refused as rate_limited|data types is refused|class \w+ is refused|have the error code|says something else|"
     r"which the broker refused|said to be dropped|an answer .* says|which the reply should say|says how old it is|"
+    # What a client cannot see: the recorder of the session has it.
+    r"by HTTP status \d+|"
     # What the device answered, and how an oracle reads it.
     r"the adapter said .*; .* holds|it answered|the server refused|was not answered"
 )

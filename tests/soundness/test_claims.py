@@ -38,6 +38,7 @@ def test_what_is_claimed_without_saying_how_is_not_testable_and_fails_the_run(ju
     assert verdict(results) is Verdict.NOT_CONFORMANT
 
 
+@pytest.mark.long
 def test_a_tool_for_some_inputs_is_no_tool_for_the_others(judge_foreign: Judge) -> None:
     many = 'tool = "read_many"\n'
     results = judge_foreign("modbus-prose", described=(many, "when = { count = 125 }\n" + many))

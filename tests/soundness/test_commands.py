@@ -173,7 +173,10 @@ def test_several_writes_of_one_call_are_told_apart_on_opcua(judge_foreign: Judge
 EVERYWHERE = foreign_subject("named-everywhere").adapters
 
 
-@pytest.mark.parametrize("protocol", EVERYWHERE)
+@pytest.mark.parametrize(
+    "protocol",
+    [pytest.param(name, marks=pytest.mark.weekly if number % 3 else ()) for number, name in enumerate(EVERYWHERE)],
+)
 @pytest.mark.long
 def test_named_commands_are_driven_on_every_protocol(judge_foreign: Judge, protocol: str) -> None:
     rows = "WR-003 WR-004 WR-005 WR-010 WR-014"

@@ -6,11 +6,14 @@ import re
 import secrets
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 
 import psutil
 import pytest
 
 from pytest_otmcp.soundness.defect import ADAPTERS
+from pytest_otmcp.subject import Adapter
 
 from .conftest import HERE, IMPATIENT, Judge, failing, words
 
@@ -71,7 +74,7 @@ NOTHING_WRONG = r"the device should have answered at least 1 request\(s\) during
         pytest.param("bad-protocol-version", r"handshake failed: .*1492-10-12", marks=LONG),
         pytest.param("closes-stdout", r"handshake", marks=LONG),
         pytest.param("ignores-sigterm-in-initialize", r"did not finish its handshake within", marks=LONG),
-        pytest.param("pages-for-ever", r"did not finish its handshake within", marks=LONG),
+        pytest.param("pages-for-ever", r"did not finish its handshake within", marks=[LONG, pytest.mark.weekly]),
         pytest.param("pages-in-a-circle", r"did not finish its handshake within", marks=[LONG, pytest.mark.weekly]),
         pytest.param("many-tools", TOO_LARGE, marks=LONG),
         pytest.param("nameless-tool", r"handshake failed", marks=LONG),
@@ -167,3 +170,21 @@ def test_not_all_of_many_tools_are_called(judge: Judge, token: str) -> None:
     # A hundred, among them some that the reference adapter has. There is no second era of MCP: by then the adapter has said the same
     # wrong thing again and again.
     assert 75 < sum(tool.startswith("t") for tool in called) <= 100
+
+
+@LONG
+@pytest.mark.parametrize("kind", ["link", "second-name", "pipe"])
+def test_what_an_adapter_puts_in_place_of_its_log_is_neither_read_nor_changed(
+    judge: Judge, tmp_path: Path, kind: str
+) -> None:
+    def described(adapter: Adapter) -> Adapter:
+        launch = adapter.variants["governed"]
+        launch = replace(launch, env={**launch.env, "VICTIM_FOLDER": str(tmp_path)})
+        openings = replace(adapter.openings, writes=(*adapter.openings.writes, tmp_path))
+        return replace(adapter, variants={**adapter.variants, "governed": launch}, openings=openings)
+
+    checks = "AUD-001.modbus AUD-002.modbus AUD-003.modbus"
+    results = judge("modbus", "log_elsewhere.py", kind, described=described, tasks=checks)
+    assert {result["status"] for result in results.values()} == {"FAIL"}, words(results)
+    assert "the audit log has no record of it" in words(results)
+    assert (tmp_path / "victim.txt").read_bytes() == b"not to be changed\n"

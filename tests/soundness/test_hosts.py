@@ -52,6 +52,12 @@ def test_an_honest_host_passes_what_is_asked_of_hosts(judge_foreign: Judge, name
 
 
 @pytest.mark.long
+def test_a_message_of_qos_0_may_leave_after_the_last_reply_of_an_item(judge_foreign: Judge) -> None:
+    results = judge_foreign("mqtt-listener", lie="a-moment-later", tasks="SPB-010.mqtt SPB-011.mqtt")
+    assert passing(results) == results.keys(), words(results)
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("name", HONEST)
 def test_an_honest_host_is_accused_of_nothing(judge_foreign: Judge, name: str) -> None:
     rows, items = HONEST[name]

@@ -17,7 +17,8 @@ def verdicts(results: Results) -> dict[str, str]:
     return {name: result["status"] for name, result in sorted(results.items())}
 
 
-@pytest.mark.parametrize("name", ["MU-126", pytest.param("MU-126q", marks=pytest.mark.weekly)])
+@pytest.mark.weekly
+@pytest.mark.parametrize("name", ["MU-126", "MU-126q"])
 def test_items_in_another_order_have_the_same_verdicts(judge: Judge, name: str) -> None:
     protocol = DEFECTS[name].protocol
     usual = judge(protocol, *DEFECT, name)
@@ -27,7 +28,7 @@ def test_items_in_another_order_have_the_same_verdicts(judge: Judge, name: str) 
 
 ADAPTERS = [
     ("modbus", ("defective.py",), "none"),
-    *(pytest.param(DEFECTS[name].protocol, DEFECT, name, marks=pytest.mark.weekly) for name in ("MU-126q", "MU-14")),
+    *((DEFECTS[name].protocol, DEFECT, name) for name in ("MU-126q", "MU-14")),
 ]
 
 
@@ -40,6 +41,7 @@ def test_more_repetitions_have_the_same_verdicts(
     assert verdicts(judge(protocol, *program, name, repetitions=3)) == verdicts(once)
 
 
+@pytest.mark.weekly
 @pytest.mark.parametrize(("protocol", "program", "name"), ADAPTERS)
 def test_an_item_alone_has_the_same_verdict(judge: Judge, protocol: str, program: tuple[str, ...], name: str) -> None:
     usual = judge(protocol, *program, name)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import Any, cast
 
+import pytest
+
+from pytest_otmcp.core.finding_registry import finding_codes
 from pytest_otmcp.core.matrix import CROSS_PROTOCOL
 from pytest_otmcp.record.schema import Item, Run
 from pytest_otmcp.record.warnings import passed_beside
-from pytest_otmcp.report.causes import Cause, causes, extent
+from pytest_otmcp.report.causes import Cause, causes, extent, rows
 from pytest_otmcp.report.overview import requirements as requirement_rows
 from pytest_otmcp.suite.requirements import requirements
 
-from .samples import item, run
+from .samples import call, item, run
 
 
 def finding(message: str, requirement: str | None = "WR-001", **more: str) -> dict[str, Any]:
@@ -117,7 +120,7 @@ def test_a_cause_names_what_to_change_in_a_library_that_the_adapter_was_seen_to_
     told["subject"]["adapters"]["modbus"]["libraries"] = {"pymodbus": "server.py", "mcp": "server.py"}
     twice, elsewhere = causes(cast(Run, told))
     assert [change.partition("`retries=0`")[:2] for change in twice.by_library] == [("pymodbus: ", "`retries=0`")]
-    assert twice.by_library[0].endswith("(docs/by-library.md#pymodbus)")
+    assert twice.by_library[0].endswith("(otmcp docs by-library#pymodbus)")
     assert elsewhere.by_library == ()
 
 
@@ -146,7 +149,51 @@ def test_an_item_that_failed_for_the_session_alone_shows_its_rules_and_no_other(
     quiet = failing("M1", "Modbus", around=(NOISE,)) | {"requirements": ["RD-004"]}
     quiet["samples"][1] |= {"ok": True}
     rows = dict(requirement_rows(cast(Run, run([quiet]))))
-    assert rows["RD-004"]["Modbus"].state == "passed"
+    assert rows["RD-004"]["Modbus"].state == "kept"
     assert rows["MCP-001"]["Modbus"].state == "violated"
     assert not passed_beside(cast(Item, failing("M1", "Modbus", finding("one write, it saw 0"), around=(NOISE,))))
     assert not passed_beside(cast(Item, {**quiet, "findings": []}))
+
+
+@pytest.mark.parametrize(
+    ("code", "message", "said"),
+    [
+        (
+            "not_refused",
+            "w(a=1): expected an error envelope with code x or y, it claims success",
+            "an error with code x or y",
+        ),
+        ("wrong_error_code", "r(): error code should be timeout, it is 'gone'", "an error with code timeout"),
+        (
+            "wrong_outcome",
+            "w(): error outcome should be unknown, it is 'not_sent'",
+            "an error whose outcome is unknown",
+        ),
+        ("not_successful", "r(): expected success, got error 'x': value should be 3, the reply says 4", "success"),
+        ("no_reply", "r(): no reply within the deadline of 5 s", "an answer within 5 s"),
+        ("wrong_value", "r(a=1): values should be [40], the reply says [5206]", "values [40]"),
+        ("wrong_value", "r(): expected the server timestamp T, the reply says 'U'", "the server timestamp T"),
+        # What the device holds, and what an adapter wrote, do not tell what it should have said.
+        ("device_differs", "1/coils/4 should hold True, the device holds False", ""),
+        ("stdout_noise", "1 line(s), the first: 'r(): value should be 3, the reply says 4'", ""),
+    ],
+)
+def test_what_was_due_is_told_where_the_finding_tells_and_never_invented(code: str, message: str, said: str) -> None:
+    (cause,) = causes_of(failing("M3", "Modbus", finding(message, code=code)))
+    assert cause.due == said
+
+
+def test_a_card_is_about_the_call_that_its_finding_names() -> None:
+    told = failing("M3", "Modbus", finding("write(value=2): expected success, got no reply", code="not_successful"))
+    told["samples"][1]["calls"] = [
+        call(ok=False) | {"tool": "write", "arguments": {"value": value}} for value in (1, 2, 3)
+    ]
+    (cause,) = causes_of(told)
+    assert cause.words is not None
+    assert cause.words.asked == 'write {"value": 2}'
+    assert [label for label, _ in rows(cause)] == ["asked", "the adapter said", "the device saw", "should have said"]
+
+
+def test_what_to_change_is_said_by_the_code_where_no_library_is_known() -> None:
+    (cause,) = causes_of(failing("M3", "Modbus", NOISE))
+    assert cause.changes == (finding_codes()["stdout_noise"].change,)

@@ -18,9 +18,11 @@ from pytest_otmcp.certificate.badge import badge, badge_svg
 from pytest_otmcp.certificate.eligibility import objections
 from pytest_otmcp.certificate.statement import awarded, certificate, differences
 from pytest_otmcp.cli import Refusal, main
+from pytest_otmcp.cli.examination import answer
 from pytest_otmcp.core.matrix import SUITES
 from pytest_otmcp.record.schema import AdapterFacts
 from pytest_otmcp.suite.catalogue import tasks_by_id
+from pytest_otmcp.suite.requirements import catalogue
 
 from ..examined import verify
 from ..stored_runs import store, store_as_it_is
@@ -143,10 +145,11 @@ def test_messages_can_be_received_without_subscribing_by_a_call_that_waits_for_t
     assert "Q2 is called PASS, which is not what the subject claims" in objections(run, TASKS)
 
 
-def test_how_many_items_applied_stands_beside_the_verdict(statement: dict[str, Any]) -> None:
-    applied = told(statement)["applied"]
-    assert applied == {"items": len(statement["predicate"]["passedTests"]), "of": len(TASKS)}
-    assert applied["items"] + len(told(statement)["not_applicable"]) == len(TASKS)
+def test_how_many_items_passed_of_how_many_stands_beside_the_verdict(statement: dict[str, Any]) -> None:
+    items = told(statement)["items"]
+    assert items.keys() == {"Modbus", "OPC UA"}
+    assert sum(count["passed"] for count in items.values()) == len(statement["predicate"]["passedTests"])
+    assert all(count["of"] >= count["passed"] for count in items.values())
 
 
 def test_a_deadline_that_nobody_waits_for_earns_nothing(record: dict[str, Any]) -> None:
@@ -251,8 +254,8 @@ OBJECTIONABLE: list[tuple[Change, str]] = [
         "the journal of modbus does not begin with the run",
     ),
     (
-        lambda run: run["subject"]["adapters"].update(ethercat=adapter("acme-ethercat", "2026-07-28")),
-        "adapter 'ethercat' is none that the kit knows",
+        lambda run: run["subject"]["adapters"].update(hart=adapter("acme-hart", "2026-07-28")),
+        "adapter 'hart' is none that the kit knows",
     ),
     (
         lambda run: by_id(run, "M2").update(started_at="2026-11-20T07:03:43.000Z"),
@@ -366,10 +369,11 @@ def test_true_is_not_one_and_a_whole_number_is_no_fraction() -> None:
 
 def test_the_badge_is_what_shields_draws_from(statement: dict[str, Any]) -> None:
     passed = len(statement["predicate"]["passedTests"])
+    of = sum(count["of"] for count in told(statement)["items"].values())
     assert badge(statement) == {
         "schemaVersion": 1,
         "label": "OT-MCP conformance",
-        "message": f"conformant: Modbus Silver, OPC UA Silver ({passed} of {len(TASKS)} items applied)",
+        "message": f"conformant: Modbus Silver, OPC UA Silver ({passed} of {of} items, catalogue {catalogue().version})",
         "color": "1a7f37",
     }
 
@@ -435,6 +439,22 @@ def test_a_certificate_of_its_own_run_is_verified(files: tuple[Path, Path]) -> N
     found = verify(*files)
     assert found.code == 0
     assert found.said[0].startswith("verified: acme-adapter 1.4.0 is CONFORMANT; ")
+
+
+def test_a_program_gets_what_was_verified_as_json(
+    files: tuple[Path, Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The process with bounds has no replaced judgement.
+    monkeypatch.setattr("pytest_otmcp.cli.confined.confined", lambda work, asked, bounds, what: answer(asked))
+    assert main(["verify", "--json", *map(str, files)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["verdict"], told["levels"], told["signed_by"]) == (
+        "CONFORMANT",
+        {"modbus": "silver", "opcua": "silver"},
+        None,
+    )
+    assert told["items"]["Modbus"]["passed"] <= told["items"]["Modbus"]["of"]
+    assert told["said"][0].startswith("verified: ")
 
 
 @pytest.mark.long
@@ -584,7 +604,7 @@ def test_the_level_of_each_protocol_is_awarded_with_what_is_missing_for_the_next
     level = awarded(with_levels())  # type: ignore[arg-type]
     assert level["awarded"] == {"modbus": "silver", "opcua": "bronze"}
     assert level["why"] == (
-        "Modbus: Silver; Gold cannot be earned yet. OPC UA: Bronze; for Silver: 1 row not shown (RES-001)."
+        "Modbus: Silver; for Gold: 10 rows not asked for (SEC-001, SEC-002, AUD-001, AUD-002, AUD-003 and 5 more). OPC UA: Bronze; for Silver: 1 row not shown (RES-001)."
     )
     assert "No item has shown RES-001." in level["next"]["opcua"]  # type: ignore[index]
     statement = certificate(conformant_run(), FILE, TASKS)  # type: ignore[arg-type]

@@ -57,7 +57,7 @@ def test_the_runs_are_columns_of_one_matrix(versions: list[dict[str, Any]]) -> N
     assert earned["Modbus: Writing"] == ["not earned", "undecided", "undecided"]
     assert earned["MQTT: Reading"][:2] == ["not claimed", "not claimed"]
     assert [(row.name, [cell.text for cell in row.cells]) for row in found.rules] == [
-        ("Modbus: WR-003", ["violated", "—", "—"])
+        ("Modbus: WR-003", ["violated", "kept", "kept"])
     ]
 
 

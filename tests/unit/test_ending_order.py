@@ -16,7 +16,7 @@ class Ending:
     """An adapter under test that only notes when its end is asked for, and ends when it is let."""
 
     def __init__(self, name: str, url: str | None, told: list[str], let: asyncio.Event) -> None:
-        self.adapter = type("Adapter", (), {"url": url})
+        self.adapter = type("Adapter", (), {"url_of": lambda _, variant: url})()
         self.variant = "ro" if name.endswith("ro") else "rw"
         self._name, self._told, self._let = name, told, let
 

@@ -248,6 +248,36 @@ def test_a_message_of_an_earlier_item_that_is_delivered_again_is_of_the_call_tha
     assert [entry["t_ns"] for entry in others] == [4_500_000]
 
 
+def test_a_message_that_nobody_answers_may_arrive_after_its_item() -> None:
+    def arriving(*entries: JournalEntry, calls: list[Judged]) -> list[int]:
+        before = AskedFor()
+        assert unasked(MQTT, calls, [], asked_for=before) == []
+        again, others = delivered_before(list(entries), MQTT, asked_for=before, item="X-2")
+        assert again == []
+        return [entry["t_ns"] // 10**6 for entry in others]
+
+    published, late = [call("publish", at=1)], message(4, qos=0)
+    assert arriving(late, calls=published) == []
+    assert arriving(late, message(5, qos=0), calls=published) == [5]
+    assert arriving(late, calls=[call("messages", at=1)]) == [4]
+    assert arriving(late, calls=[call("publish", at=1, error=FAILED)]) == [4]
+    # The broker has answered: the call was no success before.
+    acknowledged = message(
+        4.1, kind="PUBACK", direction="out", request=False, state_changing=False, answers=late["seq"]
+    )
+    assert arriving(late, acknowledged, calls=published) == [4, 4]
+
+
+def test_a_message_on_its_way_at_the_end_of_a_repetition_is_of_the_next_one_only() -> None:
+    before = AskedFor()
+    assert unasked(MQTT, [call("publish", at=1)], [], asked_for=before) == []
+    assert unasked(MQTT, [call("messages", at=3)], [], asked_for=before) == []
+    (stray,) = unasked(MQTT, [call("messages", at=5)], [message(5.5, qos=0)], asked_for=before)
+    assert stray[0].requirement == "MCP-008"
+    assert unasked(MQTT, [call("publish", at=7)], [], asked_for=before) == []
+    assert unasked(MQTT, [call("messages", at=9)], [message(9.5, qos=0)], asked_for=before) == []
+
+
 def without_reply(failure: str) -> Judged:
     made = call("write_holding")
     silent = replace(made.reply.exchange, response=None, received_ns=None, failure=failure)

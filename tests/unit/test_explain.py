@@ -70,9 +70,8 @@ def test_a_level_is_told_with_its_meaning_and_its_rows(capsys: pytest.CaptureFix
     assert bronze.startswith("Bronze (level): An adapter of this level may be connected to a plant for reading.")
     assert "mb-r: reading by Modbus" in bronze
     assert "RD-001" in bronze.partition("Not yet judged")[0]
-    # Every row that Gold begins with waits for its check, so it names none that could be earned.
-    assert "Rows that begin with it" not in gold
-    assert "TLS-001" in gold.partition("Not yet judged")[2]
+    assert "TLS-001" in gold.partition("Not yet judged")[0]
+    assert "AUD-003" in gold.partition("Not yet judged")[0]
 
 
 def test_a_profile_is_told_with_its_level_and_its_rows(capsys: pytest.CaptureFixture[str]) -> None:
@@ -147,3 +146,10 @@ def test_a_docstring_is_read_by_its_labels() -> None:
         asked="Ask for something and more.", said="This, and that.", why="It matters."
     )
     assert explanation(silent) == explanation(None) == Explanation()
+
+
+def test_without_an_id_all_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["explain"]) == 0
+    listed = capsys.readouterr().out
+    for name in ("M3 ", "WR-003 ", "WR-003.modbus ", "illegal_address ", "wrong_value ", "Silver "):
+        assert f"\n{name}" in listed

@@ -46,6 +46,15 @@ def answers(made: FrameRecorder, result: str) -> int:
     raise AssertionError
 
 
+def test_a_session_may_be_asked_for_its_tools_without_end() -> None:
+    made, page = recorder(), f'{{"tools":[{"0," * 9_000}0]}}'
+    for number in range(2, 400):
+        made.sent(1, b"", number, None)
+        made.listing.renew()
+        made.received(2, f'{{"jsonrpc":"2.0","id":{number},"result":{page}}}'.encode())
+    assert not made.overflow
+
+
 @pytest.mark.parametrize(
     ("result", "taken"),
     [

@@ -13,22 +13,16 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.errors import SubjectError
-from pytest_otmcp.session.exchange import CONTENT_TOO_LARGE
+from pytest_otmcp.session.exchange import REFUSALS
+from pytest_otmcp.session.free_port import free_port
 from pytest_otmcp.session.session import McpSession, SessionOptions
 
 ADAPTER = [sys.executable, "-m", "pytest_otmcp.reference_adapters", "modbus"]
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 @asynccontextmanager
 async def session(command: list[str] | None = None, *, era: str = "auto") -> AsyncIterator[McpSession]:
-    port = free_port()
+    port = free_port(socket.socket)
     env = {
         "MCP_TRANSPORT": "streamable-http",
         "MCP_HTTP_PORT": str(port),
@@ -64,7 +58,7 @@ async def test_frames_and_their_times_are_recorded(era: str) -> None:
 async def test_a_request_that_the_server_refuses_for_its_size_does_not_end_the_session() -> None:
     async with session() as http:
         exchange = await http.call("read_input_registers", {"address": "9" * 5_000_000, "count": 1}, timeout_s=60.0)
-        assert (exchange.response, exchange.failure) == (None, CONTENT_TOO_LARGE)
+        assert (exchange.response, exchange.failure) == (None, REFUSALS[413])
         assert exchange.latency_ms is not None
         assert (
             await http.call("read_input_registers", {"address": 0, "count": 1}, timeout_s=60.0)
@@ -126,3 +120,8 @@ async def test_an_answer_that_does_not_end_is_not_read_to_its_end(kind: str) -> 
         exchange = await http.call("ping", {}, timeout_s=60.0)
         assert exchange.response is None
         assert http.overflow
+
+
+def test_the_port_of_a_server_is_none_that_the_system_hands_out_itself() -> None:
+    lowest, highest = map(int, Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split())
+    assert free_port(socket.socket) not in range(lowest, highest + 1)

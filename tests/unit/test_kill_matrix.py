@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -98,7 +99,7 @@ def test_the_sample_has_defects_of_the_benchmark_and_of_every_area() -> None:
     ("names", "ids"),
     [
         (["mu-13"], {"MU-13"}),
-        (["MU-12"], {"MU-12", "MU-12q"}),
+        (["MU-12"], {one.id for one in KNOWN.defects if re.fullmatch("MU-12[a-z]*", one.id)}),
         (["MU-12q", "MU-13"], {"MU-12q", "MU-13"}),
         (["RES"], {one.id for one in KNOWN.defects if one.areas == ("res",)}),
         (["benchmark"], {one.id for one in KNOWN.defects if not one.areas}),

@@ -9,13 +9,14 @@ from typing import Any, cast
 import pytest
 
 from pytest_otmcp.core.matrix import REQUIREMENTS
-from pytest_otmcp.record.schema import Item
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.record.schema import AdapterFacts, Item
 from pytest_otmcp.suite.levels import Standing, said, shown, standing, standings
 from pytest_otmcp.suite.requirements import Catalogue, Level, catalogue, read
 
 from .samples import finding, item
 
-KEYS = ("modbus", "mqtt", "opcua", "s7", "bacnet", "ethernetip", "dnp3", "profibus")
+KEYS = ("modbus", "mqtt", "opcua", "s7", "bacnet", "ethernetip", "dnp3", "profibus", "ethercat", "profinet")
 DOCUMENTS = '[documents]\nx = { title = "x", at = "x", read = "text" }\n'
 
 
@@ -46,14 +47,28 @@ def blamed(entry: dict[str, Any], requirement: str | None, strength: str = "MUST
 
 
 @pytest.mark.parametrize("protocol", KEYS)
-def test_every_row_met_is_silver_and_gold_cannot_be_earned(protocol: str) -> None:
-    found = stands(all_passed(protocol).values(), protocol)
-    assert (found.level, found.wanted, found.attainable) == (Level.SILVER, Level.GOLD, False)
+def test_every_row_met_is_gold_where_the_protocol_has_a_secure_form(protocol: str) -> None:
+    found = stands(all_passed(protocol, Level.GOLD).values(), protocol)
     assert found.failed == {}
     assert found.not_run == ()
-    assert {"SEC-001", "MCP-011"} <= {*found.not_yet}
-    assert said(found).endswith(": Silver; Gold cannot be earned yet")
-    assert shown(found, catalogue())[-1] == "Gold cannot be earned yet: rows that begin with it are not yet judged."
+    if protocols()[protocol].secure:
+        assert found.level is Level.GOLD
+        assert said(found).endswith(": Gold")
+    else:
+        assert (found.level, found.wanted, found.attainable) == (Level.SILVER, Level.GOLD, False)
+        assert said(found).endswith(": Silver; Gold cannot be earned")
+        assert shown(found, catalogue())[-1].startswith("Gold cannot be earned: the kit knows no form of ")
+
+
+def test_gold_over_http_needs_callers_with_tokens() -> None:
+    items = all_passed("modbus", Level.GOLD)
+    items["MCP-011"] = check("MCP-011", "modbus", "NOT_APPLICABLE")
+    unasked = cast(list[Item], [*items.values()])
+    assert standing(catalogue(), unasked, "modbus").level is Level.GOLD
+    found = standing(catalogue(), unasked, "modbus", over_http=True)
+    assert (found.level, found.attainable, found.absent) == (Level.SILVER, True, ("MCP-011",))
+    items["MCP-011"] = check("MCP-011", "modbus")
+    assert standing(catalogue(), cast(list[Item], [*items.values()]), "modbus", over_http=True).level is Level.GOLD
 
 
 @pytest.mark.parametrize("protocol", KEYS)
@@ -71,15 +86,18 @@ def test_the_rows_of_bronze_alone_are_bronze_when_nothing_else_is_claimed(protoc
 def test_a_run_without_items_earns_nothing() -> None:
     found = stands([])
     assert (found.level, found.wanted) == (None, Level.BRONZE)
-    assert len(found.not_run) == 49
-    assert said(found).endswith("49 rows not shown (MCP-001, MCP-002, MCP-003, MCP-004, MCP-005 and 44 more)")
+    assert len(found.not_run) == 50
+    assert said(found).endswith("50 rows not shown (MCP-001, MCP-002, MCP-003, MCP-004, MCP-005 and 45 more)")
 
 
 def test_of_a_run_without_the_requirement_suite_nothing_is_said() -> None:
     without = cast(list[Item], [item("M1", "normal", "Modbus", "Ping.", [1.0])])
-    assert standings(catalogue(), without, ["modbus"]) == []
+    facts = cast(AdapterFacts, {})
+    assert standings(catalogue(), without, {"modbus": facts}) == []
     both = cast(list[Item], [*without, check("WR-003")])
-    assert [one.protocol for one in standings(catalogue(), both, ["modbus", "opcua", "semaphore"])] == [
+    assert [
+        one.protocol for one in standings(catalogue(), both, dict.fromkeys(("modbus", "opcua", "semaphore"), facts))
+    ] == [
         "modbus",
         "opcua",
     ]
@@ -210,6 +228,27 @@ def test_gold_can_be_earned_once_its_rows_are_judged() -> None:
     items = [check("RD-001"), check("WR-001"), check("SEC-001")]
     assert stands(items, rows=read(text)).level is Level.GOLD
     assert stands(items[:2], rows=read(text)).not_run == ("SEC-001",)
+
+
+def test_gold_needs_every_row_of_its_own_also_those_that_are_not_asked_for() -> None:
+    row = 'strength = "MUST"\nstatement = "x"\njudged = "x"\nsource = "x"\nsince = "0.2"\n'
+    text = DOCUMENTS + '[areas]\nRD = "x"\nWR = "x"\nSEC = "x"\nMCP = "x"\n[profiles]\n'
+    text += 'mb-r = { level = "bronze", protocol = "modbus", meaning = "x" }\n'
+    text += 'mb-w = { level = "silver", protocol = "modbus", meaning = "x" }\nsec = { level = "gold", meaning = "x" }\n'
+    for name, level, profile in (
+        ("RD-001", "bronze", "mb-r"),
+        ("WR-001", "silver", "mb-w"),
+        ("SEC-001", "gold", "sec"),
+        ("SEC-002", "gold", "sec"),
+        ("MCP-011", "gold", "sec"),
+    ):
+        text += f'[{name}]\nlevel = "{level}"\nprofiles = ["{profile}"]\n{row}'
+    met = [check("RD-001"), check("WR-001"), check("SEC-001")]
+    found = stands([*met, check("SEC-002", status="NOT_APPLICABLE")], rows=read(text))
+    assert (found.level, found.shown, found.absent) == (Level.SILVER, False, ("SEC-002",))
+    assert said(found) == "Modbus: Silver; for Gold: 1 row not asked for (SEC-002)"
+    assert shown(found, read(text))[0] == "Gold needs every row that begins with it; not asked for: SEC-002."
+    assert stands([*met, check("SEC-002")], rows=read(text)).level is Level.GOLD
 
 
 def a_run(seed: int) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.core.matrix import REQUIREMENTS
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import EndedError
 
@@ -17,7 +18,16 @@ BUDGET_S = 90
 
 
 def repetition(*, is_check: bool = True, soak: bool = False, time_scale: float = 1.0) -> Repetition:
-    return Repetition("RES-003.modbus", 0, "task", seed=0, time_scale=time_scale, rigs=(), soak=soak, is_check=is_check)
+    return Repetition(
+        "RES-003.modbus",
+        0,
+        "task",
+        seed=0,
+        time_scale=time_scale,
+        rigs=(),
+        soak=soak,
+        suite=REQUIREMENTS if is_check else "normal",
+    )
 
 
 def wrong(value: int, **more: object) -> list[Finding]:

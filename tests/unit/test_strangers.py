@@ -133,12 +133,12 @@ def test_reports_say_once_who_was_there() -> None:
     stranger, former, unknown = strangers(record)
     assert stranger == (
         "a stranger (curl<b>) connected to the device of mqtt 12 times in Q1, Q2, Q3, Q4, FQ1 and 1 more and sent "
-        "< PINGREQ; it was left out"
+        "< PINGREQ; ignored"
     )
     assert "a process of a session that was over (node) still spoke to the device of mqtt" in former
     assert unknown == (
-        "somebody who had gone before it could be known who it was, the adapter or another program, connected to the device of mqtt "
-        "2 times in Q1 and sent < PINGREQ; it was left out"
+        "an unidentified client (gone before its process could be identified) connected to the device of mqtt "
+        "2 times in Q1 and sent < PINGREQ; ignored"
     )
     lines = [line for line, _ in summary(record, 400)]
     assert f"note: {stranger}" in lines

@@ -124,8 +124,8 @@ def test_anything_is_understood_or_refused_in_one_sentence(
     which: str, load: Callable[[dict[str, Any]], tuple[Subject | None, str]]
 ) -> None:
     document = original(which)
-    understood = 0
-    for seed in range(700):
+    understood, number = 0, 700 if which == "reference" else 250
+    for seed in range(number):
         subject, refusal = load(mutated(document, random.Random(seed)))
         if subject is None:
             assert "\n" not in refusal
@@ -138,7 +138,7 @@ def test_anything_is_understood_or_refused_in_one_sentence(
             for variant in adapter.variants.values():
                 variant.for_endpoint({"host": "127.0.0.1", "port": "1"})
     # Some documents are understood and some are not: otherwise the mutations, or the reader, would be worth little.
-    assert 50 < understood < 650
+    assert number / 14 < understood < number * 13 / 14
 
 
 BY_KIT_ALONE = (
@@ -156,6 +156,7 @@ BY_KIT_ALONE = (
     "is not a directory",
     "the environment variable NOT_SET_ANYWHERE is not set",
     "must be a name below {work}",
+    "the target of 'approval' needs",
     "expected http:// with a loopback address",
     "expected a date",
     "more than one for the item",
@@ -210,7 +211,11 @@ def drawn(kind: Kind, choice: random.Random) -> Any:
 
 @pytest.mark.parametrize(
     "which",
-    [pytest.param("reference", marks=pytest.mark.long), pytest.param("foreign", marks=pytest.mark.long), "drawn"],
+    [
+        pytest.param("reference", marks=[pytest.mark.long, pytest.mark.weekly]),
+        pytest.param("foreign", marks=pytest.mark.long),
+        "drawn",
+    ],
 )
 def test_the_editors_schema_and_the_kit_agree(
     which: str, load: Callable[[dict[str, Any]], tuple[Subject | None, str]]
@@ -218,7 +223,7 @@ def test_the_editors_schema_and_the_kit_agree(
     validator = jsonschema.Draft202012Validator(schema(protocols()))
     grammar = subject_file(protocols())
     understood, refused = 0, 0
-    for seed in range(400 if which == "drawn" else 160):
+    for seed in range(240 if which == "drawn" else 160):
         choice = random.Random(seed)
         document = drawn(grammar, choice) if which == "drawn" else original(which)
         if which != "drawn" or seed % 2:

@@ -68,7 +68,7 @@ class DatagramTap(MediumOwner):
         """Take a free port and hand datagrams on."""
         found = await asyncio.get_running_loop().getaddrinfo(*self._target, type=socket.SOCK_DGRAM)
         self._family, _, _, _, self._target = found[0]
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = self.new_socket(socket.SOCK_DGRAM, socket.AF_INET)
         self._socket.setblocking(False)
         self._socket.bind((self.host, 0))
         await self.up()
@@ -179,9 +179,8 @@ class _Client:
             return
         queue = self._queues[direction]
         if self._medium.plan.empty and queue.idle:
-            # The datagram is handed on before it is recorded: the tap's own work must not cost the adapter time.
-            self._write[direction](data)
             self._note(direction, data, None)
+            self._write[direction](data)
             return
         rule = self._medium.plan.for_frame(self._number, direction)
         self._note(direction, data, rule)

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import socket
 import struct
+import time
 from collections.abc import Callable
 
 from ...protocols.conversation import Direction
@@ -15,6 +16,11 @@ from .frame_queue import FrameQueue
 from .medium import Medium
 
 __all__ = ["Lane", "reset_connection"]
+
+
+_WITHHELD = "withheld"
+"""What the journal says of a frame that the gate has not let through."""
+_NOTHING_OF_IT = FaultRule(action=Action.DROP)
 
 
 def reset_connection(transport: asyncio.Transport) -> None:
@@ -50,6 +56,7 @@ class Lane:
         self._connection = connection
         self._direction = direction
         self._framer = framer
+        self._rewrite = medium.rewrite if direction == "out" else None
         self._reset = reset
         self._finished = finished
         self._source: asyncio.Transport | None = None
@@ -111,7 +118,9 @@ class Lane:
     def _take(self, data: bytes) -> None:
         if self.is_black_hole:
             return
-        if self._medium.plan.empty and self._queue.idle:
+        if self._is_guarded:
+            self._guard(data)
+        elif self._medium.plan.empty and self._queue.idle and self._rewrite is None:
             self._pass_on(data)
         else:
             self._disturb(data)
@@ -121,7 +130,7 @@ class Lane:
             # Neither side would ever notice the end of the connection, so it is reset.
             self._reset()
             return
-        if self._framer is not None and (rest := self._framer.pending[self._ahead :]):
+        if not self._is_guarded and self._framer is not None and (rest := self._framer.pending[self._ahead :]):
             self._queue.put(None, rest)
         self._queue.put_end(self._end)
         self._queue.run()
@@ -141,14 +150,22 @@ class Lane:
         if framer is None:
             self._write(data)
             return
-        # The bytes are written before they are cut into frames: the tap's own work must not cost the adapter time.
+        # The bytes are written before they are cut into frames: the tap's own work must not cost the adapter time. The time is that of before:
+        # an answer is not later at the device than at the adapter.
+        passed_ns = time.monotonic_ns()
         self._write(framer.pending[self._ahead :] + data)
         for frame in framer.feed(data):
-            self._note(frame, None)
+            self._note(frame, None, passed_ns)
         self._ahead = 0 if self._check_stream() else len(framer.pending)
 
     def _disturb(self, data: bytes) -> None:
         frames = [data] if self._framer is None else self._framer.feed(data)
+        if self._rewrite is not None:
+            rewritten = [self._rewrite(frame) for frame in frames]
+            frames = [frame for frame in rewritten if frame is not None]
+            if len(frames) < len(rewritten):
+                self._reset()
+                return
         for frame in frames:
             ahead, self._ahead = self._ahead, 0
             rule = None
@@ -161,10 +178,30 @@ class Lane:
             self._ahead = 0
         self._queue.run()
 
-    def _note(self, frame: bytes, rule: FaultRule | None) -> None:
+    @property
+    def _is_guarded(self) -> bool:
+        return self._direction == "in" and self._medium.gate is not None
+
+    def _guard(self, data: bytes) -> None:
+        """Hand on the whole frames that the gate lets through; a stream that can no longer be cut ends here."""
+        gate, framer = self._medium.gate, self._framer
+        if gate is None or framer is None:
+            self._reset()
+            return
+        for frame in framer.feed(data):
+            passes = gate(frame)
+            rule = self._medium.plan.for_frame(self._connection, self._direction) if passes else _NOTHING_OF_IT
+            fault = None if rule is None else rule.action.value
+            self._medium.journal.frame(self._connection, self._direction, frame, fault if passes else _WITHHELD)
+            self._queue.put(rule, frame)
+        self._queue.run()
+        if self._check_stream():
+            self._reset()
+
+    def _note(self, frame: bytes, rule: FaultRule | None, passed_ns: int | None = None) -> None:
         if self._framer is not None:
             fault = None if rule is None else rule.action.value
-            self._medium.journal.frame(self._connection, self._direction, frame, fault)
+            self._medium.journal.frame(self._connection, self._direction, frame, fault, passed_ns)
 
     def _check_stream(self) -> bytes:
         """Note when the stream can no longer be cut, and treat the rest as bytes; return what was not cut."""

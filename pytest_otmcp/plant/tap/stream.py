@@ -17,7 +17,7 @@ from ...protocols.protocol import Framing
 from ...wire.framing import Framer
 from .faults import FaultPlan, FaultRule
 from .lane import Lane, reset_connection
-from .medium import Medium, MediumOwner
+from .medium import Gate, Medium, MediumOwner, Rewrite
 from .peer import process_of
 
 __all__ = ["StreamTap"]
@@ -33,15 +33,27 @@ class StreamTap(MediumOwner):
         target_host, target_port: the device.
         framing: how to cut and decode what passes. Without it the journal holds connections only, and the rules of
             :meth:`inject` count pieces as they arrive instead of frames.
+        gate: decides which frames reach the device; None lets everything through.
+        rewrite: makes of the frames of the device what the client gets; None leaves them as they are.
 
     Raises:
-        KitError: the framing cuts no streams.
+        KitError: the framing cuts no streams, or there is a gate and nothing that cuts them.
     """
 
-    def __init__(self, target_host: str, target_port: int, *, framing: Framing | None = None) -> None:
+    def __init__(
+        self,
+        target_host: str,
+        target_port: int,
+        *,
+        framing: Framing | None = None,
+        gate: Gate | None = None,
+        rewrite: Rewrite | None = None,
+    ) -> None:
         if framing is not None and framing.frame_length is None:
             raise KitError("a TCP connection cannot be recorded: the frames of its protocol are datagrams")
-        super().__init__(framing)
+        if gate is not None and framing is None:
+            raise KitError("a TCP connection cannot be guarded without its frames")
+        super().__init__(framing, gate, rewrite)
         self.host = "127.0.0.1"
         self._target = (target_host, target_port)
         self._framing = framing
@@ -96,9 +108,7 @@ class StreamTap(MediumOwner):
         self._medium.plan = FaultPlan(rules)
 
     def _bound(self, port: int) -> socket.socket:
-        # The protocol is named because asyncio sets TCP_NODELAY only where it reads IPPROTO_TCP; without it a small piece waits
-        # until the one before it has been acknowledged.
-        sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        sock = self.new_socket(socket.SOCK_STREAM, socket.AF_INET)
         try:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)

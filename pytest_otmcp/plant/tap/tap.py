@@ -15,13 +15,20 @@ from ..endpoint import Endpoint
 from ..journal import DeviceJournal
 from .datagram import DatagramTap
 from .faults import Action, FaultRule
+from .medium import Gate, NewSocket, Rewrite
 from .stream import StreamTap
 
 __all__ = ["Tap", "new_tap"]
 
 
 class Tap(Protocol):
-    """A proxy in front of one endpoint; to be used on one event loop."""
+    """A proxy in front of one endpoint; to be used on one event loop.
+
+    Attributes:
+        new_socket: makes the socket of clients, of a type and a family, in the network in which they are.
+    """
+
+    new_socket: NewSocket
 
     @property
     def host(self) -> str:
@@ -66,20 +73,25 @@ class Tap(Protocol):
         """
 
 
-def new_tap(target: Endpoint, framing: Framing | None) -> Tap:
+def new_tap(target: Endpoint, framing: Framing | None, gate: Gate | None = None, rewrite: Rewrite | None = None) -> Tap:
     """Return a tap in front of an endpoint; it has to be started.
 
     Args:
         target: the device's endpoint.
         framing: how to cut and decode what passes; None for a journal without messages.
+        gate: decides which frames reach the device; None lets everything through.
+        rewrite: makes of the frames of the device what the client gets; None leaves them as they are.
 
     Raises:
-        KitError: the kit cannot record what passes there.
+        KitError: the kit cannot record, or not guard, what passes there.
     """
     match target.kind:
         case "tcp":
-            return StreamTap(target.host, target.port, framing=framing)
+            return StreamTap(target.host, target.port, framing=framing, gate=gate, rewrite=rewrite)
+        case "udp" if gate is not None:
+            raise KitError(f"the endpoint {target.name!r} is a UDP port, and the kit's tap guards none of those")
         case "udp":
             return DatagramTap(target.host, target.port, framing=framing)
-        case "pty":
-            raise KitError(f"the endpoint {target.name!r} is a pseudo terminal, and the kit has no tap for those")
+        case "pty" | "cable":
+            kind = "a pseudo terminal" if target.kind == "pty" else "a cable"
+            raise KitError(f"the endpoint {target.name!r} is {kind}, and the kit has no tap for those")

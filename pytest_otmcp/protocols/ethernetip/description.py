@@ -45,4 +45,5 @@ PROTOCOL = OtProtocol(
     session_oracles=(StateChanges, Exchanges),
     proof=PROOF,
     exercise=EXERCISE,
+    secure=True,
 )

@@ -10,6 +10,8 @@ from ..session_oracle import Exchanges, StateChanges
 from .decoder import ModbusConversation
 from .entries import carried_out, describe, title
 from .exercise import EXERCISE
+from .external import EXTERNAL
+from .field import FIELD
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
 from .proof import PROOF
@@ -41,8 +43,11 @@ PROTOCOL = OtProtocol(
     envelope_names=("modbus-tcp", "modbus-tls"),
     packages=("pymodbus",),
     colour=Colour(light="#0072b2", dark="#56b4e9"),
+    external=EXTERNAL,
+    real=FIELD,
     session_oracles=(StateChanges, Exchanges),
     proof=PROOF,
     exercise=EXERCISE,
     always=True,
+    secure=True,
 )

@@ -88,5 +88,6 @@ PROTOCOL = OtProtocol(
     proof=PROOF,
     exercise=EXERCISE,
     always=True,
+    secure=True,
     delayed=tuple({"packet": kind} for kind in ("PUBLISH", "SUBSCRIBE", "UNSUBSCRIBE", "PINGREQ")),
 )

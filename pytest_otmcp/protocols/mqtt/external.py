@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from ..external import ExternalDevice
+from ..external import BROKER, ExternalDevice
 
 __all__ = ["EXTERNAL"]
 
 EXTERNAL = ExternalDevice(
-    option="broker",
-    meaning="external MQTT broker, mqtt://host:port, instead of the embedded one",
+    option=BROKER,
     scheme="mqtt",
     default_port=1883,
     noun="MQTT broker",

@@ -15,10 +15,10 @@ from ...wire.opcua import LARGEST_CHUNK
 from ..conversation import Direction, Message, Outstanding
 from .binary import BinaryReader, symbol
 
-__all__ = ["OpcUaConversation"]
+__all__ = ["POLICY_NONE", "SERVICES", "OpcUaConversation", "request_header"]
 
 _CONNECTION_PROTOCOL = {"HEL": "Hello", "ACK": "Acknowledge", "ERR": "Error", "RHE": "ReverseHello"}
-_POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
+POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
 
 # Numeric id of the binary encoding of the request (OPC 10000-6, annex A); the id of the response is three higher.
 SERVICES = {
@@ -107,7 +107,7 @@ class OpcUaConversation:
             return [_connection_message(kind, direction, reader)]
         reader.unpack("I")
         if kind == "OPN":
-            self._sealed = reader.string() != _POLICY_NONE
+            self._sealed = reader.string() != POLICY_NONE
             reader.byte_string()
             reader.byte_string()
         else:
@@ -148,13 +148,7 @@ class OpcUaConversation:
         return [message]
 
     def _request(self, request_id: int, name: str, reader: BinaryReader) -> Message:
-        reader.node_id()
-        reader.take(8)
-        handle = reader.unpack("I")
-        reader.take(4)
-        reader.string()
-        reader.take(4)
-        reader.extension_object()
+        handle = request_header(reader)
         message = Message(
             direction="in",
             kind=name,
@@ -177,6 +171,18 @@ class OpcUaConversation:
         if number != _SERVICE_FAULT:
             fields |= _answered(name, reader)
         return Message(direction="out", kind=name, fields=fields, answers=asked)
+
+
+def request_header(reader: BinaryReader) -> int:
+    """Read a RequestHeader (OPC 10000-4, section 7.33) and return its handle."""
+    reader.node_id()
+    reader.take(8)
+    handle: int = reader.unpack("I")
+    reader.take(4)
+    reader.string()
+    reader.take(4)
+    reader.extension_object()
+    return handle
 
 
 def _connection_message(kind: str, direction: Direction, reader: BinaryReader) -> Message:

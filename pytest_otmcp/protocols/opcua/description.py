@@ -10,6 +10,8 @@ from ..session_oracle import StateChanges
 from .decoder import OpcUaConversation
 from .entries import carried_out, describe
 from .exercise import EXERCISE
+from .external import EXTERNAL
+from .field import FIELD
 from .operations import OPERATIONS
 from .oracle import no_state_changing_service
 from .proof import PROOF
@@ -36,8 +38,15 @@ PROTOCOL = OtProtocol(
     recognise=re.compile(r"opc[-_ ]?ua", re.IGNORECASE),
     packages=("asyncua",),
     colour=Colour(light="#e69f00", dark="#e69f00"),
+    external=EXTERNAL,
+    real=FIELD,
     session_oracles=(StateChanges,),
     proof=PROOF,
     exercise=EXERCISE,
     always=True,
+    secure=True,
+    application="urn:otmcp:mock",
+    policies=("Basic256Sha256", "Aes128_Sha256_RsaOaep", "Aes256_Sha256_RsaPss"),
+    discovery=("OpenSecureChannel", "CloseSecureChannel", "FindServers", "GetEndpoints"),
+    introduction=("CreateSession", "CloseSession"),
 )

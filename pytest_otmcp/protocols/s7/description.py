@@ -10,6 +10,8 @@ from ..session_oracle import Exchanges, StateChanges
 from .decoder import S7Conversation
 from .entries import carried_out, describe, title
 from .exercise import EXERCISE
+from .external import EXTERNAL
+from .field import FIELD
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
 from .proof import PROOF
@@ -38,6 +40,8 @@ PROTOCOL = OtProtocol(
     envelope_names=("s7comm",),
     packages=("python-snap7",),
     colour=Colour(light="#7a5195", dark="#b59ad1"),
+    external=EXTERNAL,
+    real=FIELD,
     session_oracles=(StateChanges, Exchanges),
     proof=PROOF,
     exercise=EXERCISE,

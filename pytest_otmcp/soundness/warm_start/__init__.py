@@ -19,6 +19,7 @@ from pathlib import Path
 
 from ...core.errors import KitError
 from ...plant.owners import TOKEN_VARIABLE, new_token
+from ...protocols.registry import protocols
 from ...subject import Adapter, Subject
 from ...subject.selection import select
 from ..defect import ADAPTERS, DEFECTS
@@ -69,16 +70,21 @@ class WarmStart:
             self._server.stdin.close()
         self._directory.cleanup()
 
-    def command(self, command: tuple[str, ...]) -> tuple[str, ...]:
+    def words(self, protocol: str) -> tuple[str, ...]:
+        """Return the words that replace ``python`` in the command of an adapter for a protocol: those of a warm start, unless it speaks on a
+        cable. Who has been forked from a process outside is not in the network of the cable."""
+        return (sys.executable,) if protocols()[protocol].cable else self.python
+
+    def command(self, command: tuple[str, ...], protocol: str) -> tuple[str, ...]:
         """Return the command for a warm start, if it starts Python and is not one already."""
-        return (*self.python, *command[1:]) if command[0] in ("{python}", sys.executable) else command
+        return (*self.words(protocol), *command[1:]) if command[0] in ("{python}", sys.executable) else command
 
     def subject(self, subject: Subject) -> Subject:
         """Return the subject with warm starts of all its adapters."""
 
         def warm(adapter: Adapter) -> Adapter:
             variants = {
-                name: replace(variant, command=self.command(variant.command))
+                name: replace(variant, command=self.command(variant.command, adapter.protocol))
                 for name, variant in adapter.variants.items()
             }
             return replace(adapter, variants=variants)

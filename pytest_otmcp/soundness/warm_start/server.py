@@ -47,6 +47,7 @@ class Request:
         arguments: those of ``python``.
         directory: the working directory.
         environment: the whole environment.
+        privileges: capabilities of whoever asks, as bits.
         streams: standard input, output and error.
         namespaces: user, network, mount, IPC, name and process namespace of whoever asks.
     """
@@ -54,6 +55,7 @@ class Request:
     arguments: list[str]
     directory: str
     environment: dict[str, str]
+    privileges: int
     streams: list[int]
     namespaces: list[int]
 
@@ -135,7 +137,7 @@ def become(request: Request) -> NoReturn:
     """Run the requested program in the process that was forked for it, and end this process."""
     code: Any = 1
     try:
-        move(request.namespaces)
+        move(request.namespaces, request.privileges)
         run(request)
         code = 0
     except SystemExit as end:
@@ -153,8 +155,8 @@ def become(request: Request) -> NoReturn:
         os._exit(code or 0)
 
 
-def move(namespaces: list[int]) -> None:
-    """Go where the process is that has asked, without privileges there; this one stays above, waits for the end and has its exit code."""
+def move(namespaces: list[int], privileges: int) -> None:
+    """Go where the process is that has asked, with the privileges that it has there; this one stays above, waits for the end and has its exit code."""
     kinds = ("user", "net", "mnt", "ipc", "uts", "pid")
     others = [
         descriptor
@@ -174,7 +176,12 @@ def move(namespaces: list[int]) -> None:
     # prctl(2), PR_SET_PDEATHSIG and PR_SET_NO_NEW_PRIVS; capset(2), of which version 3 has two words for each of three sets.
     libc.prctl(1, signal.SIGKILL)
     libc.prctl(38, 1, 0, 0, 0)
-    libc.capset(struct.pack("=Ii", 0x20080522, 0), bytes(24))
+    low, high = privileges & 0xFFFFFFFF, privileges >> 32
+    libc.capset(struct.pack("=Ii", 0x20080522, 0), struct.pack("=6I", low, low, low, high, high, high))
+    for number in range(64):
+        if privileges >> number & 1:
+            # PR_CAP_AMBIENT, PR_CAP_AMBIENT_RAISE: what it starts has them as well.
+            libc.prctl(47, ctypes.c_ulong(2), ctypes.c_ulong(number), 0, 0)
 
 
 def run(request: Request) -> None:

@@ -12,10 +12,21 @@ import socket
 import sys
 
 
+def _privileges() -> int:
+    """Return the capabilities that this process has, as bits (proc_pid_status(5))."""
+    with open("/proc/self/status", encoding="ascii", errors="replace") as file:
+        return next(int(line.split()[1], 16) for line in file if line.startswith("CapPrm:"))
+
+
 def main() -> None:
     """Hand everything over and wait for the end."""
     path, *arguments = sys.argv[1:]
-    request = {"arguments": arguments, "directory": os.getcwd(), "environment": dict(os.environ)}
+    request = {
+        "arguments": arguments,
+        "directory": os.getcwd(),
+        "environment": dict(os.environ),
+        "privileges": _privileges(),
+    }
     line = json.dumps(request).encode() + b"\n"
     namespaces = [os.open(f"/proc/self/ns/{kind}", os.O_RDONLY) for kind in ("user", "net", "mnt", "ipc", "uts", "pid")]
     with socket.socket(socket.AF_UNIX) as server:

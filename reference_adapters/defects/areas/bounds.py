@@ -186,6 +186,13 @@ DEFECTS: tuple[Defect, ...] = (
         "WR-006",
     ),
     defect(
+        "MU-22pn",
+        "profinet",
+        "List and limits hold for values by alias, and not for whole records.",
+        _unbounded("write_record"),
+        "WR-006",
+    ),
+    defect(
         "MU-23",
         "opcua",
         "Of a batch the nodes before a forbidden one are written.",

@@ -62,6 +62,28 @@ def utc_as_an_offset(server: AdapterServer) -> None:
     other_envelopes(with_offset)
 
 
+@choice(
+    "describes its tools in Persian and with pictures, which need joiners, and takes the address of a unit",
+    "Unicode, section 23.2: U+200C and U+200D belong to the writing of words, and to pictures",
+)
+def describes_in_other_scripts(server: AdapterServer) -> None:
+    for tool in server._tools.values():
+        tool.listing.description = (
+            f"\u0645\u06cc\u200c\u062e\u0648\u0627\u0646\u062f \U0001f468\u200d\U0001f527\n\t{tool.listing.description}"
+        )
+
+
+@choice(
+    "has thirty tools and more, whose list is not long",
+    "The kit, MCP-013: forty tools and 25 kB are easy to choose from",
+)
+def has_many_short_tools(server: AdapterServer) -> None:
+    tool = server._tools["ping"]
+    for number in range(20):
+        name = f"ping_{number}"
+        server._tools[name] = dataclasses.replace(tool, listing=tool.listing.model_copy(update={"name": name}))
+
+
 LEVELS_READ = 150
 
 
@@ -172,7 +194,7 @@ def coarse_clock(server: AdapterServer) -> None:
 def further_members(server: AdapterServer) -> None:
     def extended(envelope: Envelope) -> Envelope:
         data = envelope["data"] and {**envelope["data"], "unit_of_measure": "V", "asset": None}
-        return {**envelope, "data": data, "meta": {**envelope["meta"], "site": "hall 3", "audit_id": "7"}}
+        return {**envelope, "data": data, "meta": {**envelope["meta"], "site": "hall 3", "ticket": "7"}}
 
     other_envelopes(extended)
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import ssl
 from collections.abc import Awaitable, Callable
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.defect import Handler, failing, wrap
 from pytest_otmcp.reference_adapters.modbus.link import Link
 from pytest_otmcp.reference_adapters.modbus.shapes import Registers, Unit
 from pytest_otmcp.reference_adapters.modbus.tools import Tools
@@ -394,3 +395,43 @@ choice(
     "MCP, Cancellation: a receiver may ignore them; a write that waits for its turn should not be carried out any more",
     checked_warnings=(("TMO-003", "cancelled_write"),),
 )(deaf_to_cancellation)
+
+
+@choice("speaks TLS 1.2 alone", "requirement TLS-002: TLS is at least 1.2")
+def tls_1_2_alone(server: AdapterServer) -> None:
+    if (context := tools_of(server)._link._tls) is not None:
+        context.maximum_version = ssl.TLSVersion.TLSv1_2
+
+
+@choice(
+    "compares the host with the certificate when the handshake is complete, and then sends nothing",
+    "requirement TLS-002: the device gets no data; some libraries leave this comparison to their callers",
+)
+def compares_hosts_after_the_handshake(server: AdapterServer) -> None:
+    link = tools_of(server)._link
+    if link._tls is None:
+        return
+    link._tls.check_hostname = False
+    genuine = link._open
+
+    async def open_and_compare() -> Any:
+        connection = await genuine()
+        certificate = connection.client.ctx.transport.get_extra_info("peercert")
+        if ("IP Address", link._host) not in certificate["subjectAltName"]:
+            link._end(connection)
+            raise AdapterError("tls_error", "the certificate is of another host", outcome="not_sent")
+        return connection
+
+    link._open = open_and_compare  # type: ignore[method-assign]
+
+
+@choice(
+    "tells a handshake that failed as a connection that failed",
+    "requirement TLS-002: the device is refused; the code of its own is recommended",
+    checked_warnings=(("TLS-001", "wrong_error_code"), ("TLS-002", "wrong_error_code")),
+)
+def security_is_a_connection(server: AdapterServer) -> None:
+    def change(call: Call, error: AdapterError) -> Exception | None:
+        return AdapterError("connect_failed", error.message, outcome="not_sent") if error.code == "tls_error" else None
+
+    failing(change=change)(server)

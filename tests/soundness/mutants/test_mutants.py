@@ -15,6 +15,7 @@ from pytest_otmcp.soundness.defect import read
 from pytest_otmcp.soundness.judging import IMPATIENT, tasks_of
 from tests.soundness.conftest import DEFECT, Judge, failing, requirements, words
 
+LONG = sorted(REPRESENTATIVE)[::2]
 LISTED = {defect.id: defect for defect in read(listing()).defects}
 
 
@@ -23,7 +24,7 @@ def marks(defect: Defect) -> list[pytest.MarkDecorator]:
     if defect.quick:
         return []
     # The variants of a defect are many.
-    return [pytest.mark.long, *([] if defect.id in REPRESENTATIVE else [pytest.mark.weekly])]
+    return [pytest.mark.long, *([] if defect.id in LONG else [pytest.mark.weekly])]
 
 
 @pytest.mark.parametrize("name", [pytest.param(defect.id, marks=marks(defect)) for defect in DEFECTS.values()])
@@ -48,7 +49,7 @@ AT_OTHERS = [(defect.id, protocol) for defect in ANYWHERE for protocol in sorted
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "protocol"),
-    [pytest.param(*pair, marks=[pytest.mark.weekly] if number % 3 else []) for number, pair in enumerate(AT_OTHERS)],
+    [pytest.param(*pair, marks=[pytest.mark.weekly] if number % 9 else []) for number, pair in enumerate(AT_OTHERS)],
 )
 def test_a_defect_that_any_adapter_may_have_is_noticed_at_every_protocol(
     judge: Judge, name: str, protocol: str

@@ -15,7 +15,7 @@ def test_the_command_of_the_reference_adapters_does_not_know_the_defects() -> No
     command = [sys.executable, "-P", "-m", "pytest_otmcp.reference_adapters", "defects"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "{bacnet|dnp3|ethernetip|modbus|mqtt|opcua|profibus|s7}" in done.stderr
+    assert "{bacnet|dnp3|ethercat|ethernetip|modbus|mqtt|opcua|profibus|profinet|s7}" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""EtherCAT: description, operations, decoder and oracles."""

@@ -1,0 +1,1 @@
+"""PROFINET IO: description, operations, decoder and oracles."""

@@ -1,0 +1,96 @@
+"""A device on a cable, as adapters reach it: by hand, and through the kit's walls."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import pytest_asyncio
+from mock_program import MockProgram
+
+from pytest_otmcp.core.walls import AUTO, OFF
+from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.session.cable import cable_refused
+from pytest_otmcp.session.isolation import Isolation
+from pytest_otmcp.session.process import SubjectProcess
+
+pytestmark = [
+    pytest.mark.asyncio,
+    pytest.mark.skipif(cable_refused() is not None, reason=f"no cable here: {cable_refused()}"),
+]
+CLIENT = Path(__file__).parent / "cable_client.py"
+
+
+async def by_hand(program: MockProgram, *words: str) -> str:
+    address = program.ready_event["endpoints"]["echo"]
+    join = ["nsenter", "-t", str(address["join"]), "-U", "-n", "--preserve-credentials"]
+    client = await asyncio.create_subprocess_exec(
+        *join, sys.executable, str(CLIENT), address["path"], *words, stdout=subprocess.PIPE
+    )
+    return (await client.communicate())[0].decode().strip()
+
+
+@pytest_asyncio.fixture
+async def echo(start_mock: Callable[..., Awaitable[MockProgram]]) -> MockProgram:
+    return await start_mock("thirdparty.echo")
+
+
+async def test_frames_pass_and_the_cable_outlives_the_device(echo: MockProgram) -> None:
+    address = echo.ready_event["endpoints"]["echo"]
+    assert await by_hand(echo, "ping") == "ping otmcp0 ['lo', 'otmcp0']"
+    echo.say("stop")
+    await echo.event()
+    assert await by_hand(echo, "lost") == "otmcp0 ['lo', 'otmcp0']"
+    echo.say("start")
+    await echo.ready()
+    assert echo.ready_event["endpoints"]["echo"] == address
+    assert await by_hand(echo, "more") == "more otmcp0 ['lo', 'otmcp0']"
+    assert [entry["said"] for entry in await echo.control.journal(kind="ASK")] == ["more"]
+
+
+async def test_a_cable_can_lose_what_is_sent(echo: MockProgram) -> None:
+    await echo.control.poke(network="black_hole")
+    assert await by_hand(echo, "lost") == "otmcp0 ['lo', 'otmcp0']"
+    assert [entry["count"] for entry in await echo.control.journal(kind="lost")] == [60]
+
+
+@pytest_asyncio.fixture(params=[AUTO, OFF])
+async def walled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[MockDevice]:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    isolation, device = Isolation(request.param), MockDevice("thirdparty.echo")
+    device.walls = isolation.walls(cable=True)
+    try:
+        await device.launch()
+        yield device
+    finally:
+        await device.close()
+        isolation.close()
+
+
+async def test_an_adapter_behind_walls_has_the_cable_and_its_packet_sockets_are_known_as_its_own(
+    walled: MockDevice,
+) -> None:
+    said: list[bytes] = []
+    walled.sessions.expect()
+    walled.sessions.begin("a-token", lambda: None)
+    assert walled.walls is not None
+    process: Any = await SubjectProcess.start(
+        [sys.executable, str(CLIENT), walled.endpoints["echo"].path, "ping"],
+        env={"PATH": os.environ["PATH"], "OTMCP_SESSION": "a-token"},
+        cwd=Path.cwd(),
+        on_line=lambda _, line: said.append(line),
+        on_overflow=lambda _: None,
+        walls=walled.walls.open_to(reads=(str(CLIENT),), writes=()),
+    )
+    await process.exited.wait()
+    await process.settle()
+    await process.stop(grace_s=1.0)
+    assert said == [b"ping otmcp0 ['lo', 'otmcp0']"]
+    [asked] = [entry for entry in (await walled.journal(0)).entries if entry["kind"] == "ASK"]
+    assert asked["origin"] == "client"
