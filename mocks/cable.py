@@ -7,11 +7,13 @@ as the launcher is, whichever device runs. Run as a program, this tells whether 
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import socket
 import struct
 import sys
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import IO
@@ -28,7 +30,11 @@ ADAPTER_IP, DEVICE_IP = "10.77.0.1", "10.77.0.2"
 _NEW_LINK, _ACK, _EXCLUSIVE, _CREATE, _REQUEST, _UP = 16, 0x4, 0x200, 0x400, 0x1, 0x1
 _NAME, _LINK_INFO, _NAMESPACE = 3, 18, 28
 _KIND, _DATA, _PEER = 1, 2, 1
-_SET_ADDRESS, _SET_MASK, _GET_HARDWARE_ADDRESS = 0x8916, 0x891C, 0x8927
+_SET_ADDRESS, _SET_MASK, _GET_HARDWARE_ADDRESS, _GET_FLAGS = 0x8916, 0x891C, 0x8927, 0x8913
+_RUNNING = 0x40
+_INDEX = 1000
+"""Number of the device's interface."""
+_PATIENCE_S = 60.0
 _IGNORE_OUTGOING, _SOL_PACKET, _EVERY_PROTOCOL = 23, 263, 3
 _BUFFER = 4 * 1024 * 1024
 
@@ -72,13 +78,16 @@ class Plugged:
             with _netlink() as own, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours, theirs:
                 far = _attribute(_PEER, _link() + _name(INTERFACE) + _attribute(_NAMESPACE, struct.pack("=i", here)))
                 info = _attribute(_KIND, b"veth\0") + _attribute(_DATA, far)
-                _ask(own, _CREATE | _EXCLUSIVE, _link() + _name(INTERFACE) + _attribute(_LINK_INFO, info))
+                # The kernel tells of a carrier at once only where the two ends have different numbers, else once a second.
+                _ask(own, _CREATE | _EXCLUSIVE, _link(index=_INDEX) + _name(INTERFACE) + _attribute(_LINK_INFO, info))
                 for netlink, any_socket, address in ((own, ours, DEVICE_IP), (there, theirs, ADAPTER_IP)):
                     _ask(netlink, 0, _link(_UP) + _name(INTERFACE))
                     for request, value in ((_SET_ADDRESS, address), (_SET_MASK, "255.255.255.0")):
                         inet = struct.pack("=HH4s8x", socket.AF_INET, 0, socket.inet_aton(value))
                         fcntl.ioctl(any_socket, request, INTERFACE.encode().ljust(16, b"\0") + inet)
                 _ask(own, 0, _link(_UP) + _name("lo"))
+                for any_socket in (ours, theirs):
+                    _until_running(any_socket)
                 told = fcntl.ioctl(ours, _GET_HARDWARE_ADDRESS, INTERFACE.encode().ljust(40, b"\0"))
         os.close(here)
         self.mac = told[18:24]
@@ -117,8 +126,20 @@ def _ask(netlink: socket.socket, flags: int, body: bytes) -> None:
         raise OSError(-code, os.strerror(-code), "a virtual cable (veth)")
 
 
-def _link(flags: int = 0) -> bytes:
-    return struct.pack("=BxHiII", 0, 0, 0, flags, flags)
+def _link(flags: int = 0, index: int = 0) -> bytes:
+    return struct.pack("=BxHiII", 0, 0, index, flags, flags)
+
+
+def _until_running(any_socket: socket.socket) -> None:
+    """Wait for what the kernel does after the answer that an interface is up: clients look at IFF_RUNNING before they send."""
+    ends = time.monotonic() + _PATIENCE_S
+    while (
+        not struct.unpack_from("=H", fcntl.ioctl(any_socket, _GET_FLAGS, INTERFACE.encode().ljust(40, b"\0")), 16)[0]
+        & _RUNNING
+    ):
+        if time.monotonic() > ends:
+            raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT), "a virtual cable (veth)")
+        time.sleep(0.001)
 
 
 def _attribute(kind: int, data: bytes) -> bytes:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import socket
+from collections.abc import Awaitable, Callable
 
 from pytest_otmcp.wire.mqtt.codec import decode, encode
 from pytest_otmcp.wire.mqtt.packets import (
@@ -25,10 +26,13 @@ from pytest_otmcp.wire.mqtt.primitives import ProtocolViolation
 from ..journal import Direction
 from .framer import Framer
 
-__all__ = ["Client", "Observer"]
+__all__ = ["Client", "Dial", "Observer"]
 
 Observer = Callable[[Direction, bytes], None]
 """Function that is called with the bytes of every packet and its direction, ``in`` or ``out``."""
+
+Dial = Callable[[], Awaitable[socket.socket]]
+"""Function that returns a stream socket with the broker at its other end, or raises an OSError."""
 
 _ANSWER_TIMEOUT_S = 5.0
 
@@ -51,7 +55,7 @@ class Client(asyncio.Protocol):
 
     @classmethod
     async def connect(
-        cls, host: str, port: int, connect: Connect, on_message: Callable[[Publish], None], observe: Observer
+        cls, dial: Dial, connect: Connect, on_message: Callable[[Publish], None], observe: Observer
     ) -> Client:
         """Open a connection.
 
@@ -59,7 +63,7 @@ class Client(asyncio.Protocol):
             OSError: there is no broker, or it refuses or does not answer.
         """
         loop = asyncio.get_running_loop()
-        _, client = await loop.create_connection(lambda: cls(on_message, observe), host, port)
+        _, client = await loop.create_connection(lambda: cls(on_message, observe), sock=await dial())
         answer = await client._ask(connect, PacketType.CONNACK)
         assert isinstance(answer, Connack)
         if answer.reason_code:

@@ -91,7 +91,9 @@ class Connection(asyncio.Protocol):
         self._loop = asyncio.get_running_loop()
         if self.origin == "client":
             self._broker.journal.heard_of(self.number, process_of(transport))
-        self._event("CONNECTED", peer=transport.get_extra_info("peername")[1])
+            self._event("CONNECTED", peer=transport.get_extra_info("peername")[1])
+        else:
+            self._event("CONNECTED")
         self._timer = self._loop.call_later(self._broker.limits.connect_timeout_s, self.end, "no CONNECT in time")
 
     def connection_lost(self, exc: Exception | None) -> None:

@@ -41,34 +41,34 @@ class MqttDevice(Device):
         self.network = Network(self.journal)
         # What happens to the clients' network does not happen to the plant's.
         self._private = Network(self.journal, self.network.numbers)
-        self._servers: list[asyncio.Server] = []
+        self._server: asyncio.Server | None = None
         self._answering: list[Publish] = []
         self.broker.subscribed = self._subscribed
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         listener = endpoints["mqtt"]
         assert isinstance(listener, socket.socket)
-        loop = asyncio.get_running_loop()
-
-        # The plant has a listener of its own and publishes its births before clients are accepted: what clients find
-        # does not depend on who is faster, and they do not wait for the births.
-        private = await loop.create_server(
-            self._private.protocol(lambda: Connection(self.broker, origin="plant")), "127.0.0.1", 0
-        )
-        host, port = private.sockets[0].getsockname()
-        await self.edge_node.start(host, port)
-        public = await loop.create_server(
+        # The plant publishes its births before clients are accepted: what clients find does not depend on who is faster,
+        # and they do not wait for the births.
+        await self.edge_node.start(self._dial)
+        self._server = await asyncio.get_running_loop().create_server(
             self.network.protocol(lambda: Connection(self.broker)), sock=listener, backlog=128
         )
-        self._servers = [private, public]
+
+    async def _dial(self) -> socket.socket:
+        """Connect the plant with the broker. A port would be a door by which an adapter is taken for the plant."""
+        plant, broker = socket.socketpair()
+        served = self._private.protocol(lambda: Connection(self.broker, origin="plant"))
+        await asyncio.get_running_loop().connect_accepted_socket(served, broker)
+        return plant
 
     def secure(self, folder: Path) -> None:
         self.network.secure(folder)
 
     async def aclose(self) -> None:
         await self.edge_node.aclose()
-        for server in self._servers:
-            server.close()
+        if self._server is not None:
+            self._server.close()
         await self.broker.aclose()
         self.network.close()
 

@@ -22,7 +22,7 @@ from pytest_otmcp.wire.mqtt.packets import MQTT_311, Connect, Publish, Will
 from pytest_otmcp.wire.mqtt.sparkplug import decode_message
 
 from ..journal import Direction
-from .client import Client, Observer
+from .client import Client, Dial, Observer
 from .edge_node_pokes import Births, EdgeNodePoke, read_poke
 from .plant import Plant, Tag
 from .sparkplug import DATATYPES, encode_payload
@@ -62,20 +62,20 @@ class EdgeNode:
         self._births_have = Births()
         self._online = asyncio.Event()
         self._online.set()
-        self._address = ("", 0)
+        self._dial: Dial
         self._client: Client | None = None
         self._keeper: asyncio.Task[None] | None = None
         self._born = asyncio.Event()
 
     # -- life ---------------------------------------------------------------------------------------------
 
-    async def start(self, host: str, port: int) -> None:
-        """Connect and publish the births.
+    async def start(self, dial: Dial) -> None:
+        """Connect and publish the births; connect in the same way whenever the connection has ended.
 
         Raises:
             OSError: the broker cannot be reached or refuses.
         """
-        self._address = (host, port)
+        self._dial = dial
         await self._connect()
         self._keeper = asyncio.create_task(self._keep_connected(), name="edge-node")
 
@@ -100,7 +100,7 @@ class EdgeNode:
             client_id=CLIENT_ID,
             will=Will(topic=self._topic("NDEATH"), payload=self._death(), qos=1, retain=False),
         )
-        client = await Client.connect(*self._address, connect, self._received, self._observe)
+        client = await Client.connect(self._dial, connect, self._received, self._observe)
         # Commands are subscribed to before the birth (tck-id-message-flow-edge-node-ncmd-subscribe).
         await client.subscribe(self._topic("NCMD"), self._topic("DCMD", "+"), "control/#")
         self._client = client

@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import signal
+import socket
 import sys
 from collections.abc import Mapping
 from typing import Any
@@ -54,7 +55,11 @@ class SparkplugSimulator(Device):
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         """Connect to the broker. Clients never connect to an edge node: there are no endpoints."""
-        await self._edge_node.start(*self._address)
+        await self._edge_node.start(self._dial)
+
+    async def _dial(self) -> socket.socket:
+        # A host may have several addresses, of which the broker listens at one.
+        return await asyncio.to_thread(socket.create_connection, self._address)
 
     async def aclose(self) -> None:
         await self._edge_node.aclose()

@@ -54,6 +54,14 @@ async def test_frames_pass_and_the_cable_outlives_the_device(echo: MockProgram) 
     assert [entry["said"] for entry in await echo.control.journal(kind="ASK")] == ["more"]
 
 
+async def test_an_adapter_that_looks_at_its_interface_first_finds_it_running(echo: MockProgram) -> None:
+    # One cable in sixteen was not for its first second, and profi-dcp said that there is no interface of this address.
+    join = ["nsenter", "-t", str(echo.ready_event["endpoints"]["echo"]["join"]), "-U", "-n", "--preserve-credentials"]
+    look = "import psutil; print(psutil.net_if_stats()['otmcp0'].isup)"
+    looking = await asyncio.create_subprocess_exec(*join, sys.executable, "-c", look, stdout=subprocess.PIPE)
+    assert await looking.communicate() == (b"True\n", None)
+
+
 async def test_a_cable_can_lose_what_is_sent(echo: MockProgram) -> None:
     await echo.control.poke(network="black_hole")
     assert await by_hand(echo, "lost") == "otmcp0 ['lo', 'otmcp0']"

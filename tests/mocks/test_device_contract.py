@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import psutil
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
@@ -714,6 +715,17 @@ async def test_the_path_of_the_control_socket_is_told_in_the_ready_line_alone(pr
     directory = os.path.dirname(program.ready_event["control"]).encode()
     shown = shown_by_the_kernel(program.process.pid, program.ready_event["pid"])
     assert [text for text in shown if directory in text] == []
+
+
+async def test_a_device_can_be_reached_at_its_endpoints_and_nowhere_else(program: MockProgram) -> None:
+    # What comes by another door would be the plant's, or nobody's.
+    doors = [
+        one.laddr
+        for one in psutil.Process(program.ready_event["pid"]).net_connections("inet")
+        if one.status in (psutil.CONN_LISTEN, psutil.CONN_NONE)
+    ]
+    told = {(one["host"], one["port"]) for one in program.ready_event["endpoints"].values() if "port" in one}
+    assert set(doors) == told
 
 
 # the journal
