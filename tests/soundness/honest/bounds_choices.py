@@ -20,11 +20,11 @@ from .choice import choices
 if TYPE_CHECKING:
     from pytest_otmcp.subject import Adapter
 
-__all__ = ["MODBUS", "MQTT", "OPCUA"]
+__all__ = ["CHOICES"]
 
-MODBUS, modbus = choices("modbus")
-MQTT, mqtt = choices("mqtt")
-OPCUA, opcua = choices("opcua")
+_MODBUS, modbus = choices("modbus")
+_MQTT, mqtt = choices("mqtt")
+_OPCUA, opcua = choices("opcua")
 
 
 @modbus(
@@ -91,3 +91,6 @@ def steps_from_what_is_held(server: AdapterServer) -> None:
         return await genuine(self, nodes, values)
 
     Services.write = write  # type: ignore[method-assign]
+
+
+CHOICES = {**_MODBUS, **_MQTT, **_OPCUA}

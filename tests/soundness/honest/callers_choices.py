@@ -15,11 +15,11 @@ from .choice import choices
 if TYPE_CHECKING:
     from pytest_otmcp.subject import Adapter
 
-__all__ = ["DNP3", "MODBUS", "MQTT"]
+__all__ = ["CHOICES"]
 
-MODBUS, modbus = choices("modbus")
-MQTT, mqtt = choices("mqtt")
-DNP3, dnp3 = choices("dnp3")
+_MODBUS, modbus = choices("modbus")
+_MQTT, mqtt = choices("mqtt")
+_DNP3, dnp3 = choices("dnp3")
 
 _EVERY = str(ip_address(0))
 
@@ -71,3 +71,6 @@ def one_scope(server: AdapterServer) -> None:
 def listens_everywhere(server: AdapterServer) -> None:
     run._LOOPBACK[_EVERY] = socket.AF_INET
     os.environ["MCP_HTTP_HOST"] = _EVERY
+
+
+CHOICES = {**_MODBUS, **_MQTT, **_DNP3}

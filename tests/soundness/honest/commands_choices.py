@@ -21,10 +21,10 @@ from .choice import choices
 if TYPE_CHECKING:
     from pytest_otmcp.subject import Adapter, Binding
 
-__all__ = ["MODBUS", "MQTT"]
+__all__ = ["CHOICES"]
 
-MODBUS, modbus = choices("modbus")
-MQTT, mqtt = choices("mqtt")
+_MODBUS, modbus = choices("modbus")
+_MQTT, mqtt = choices("mqtt")
 
 
 def _named(adapter: Adapter) -> Adapter:
@@ -135,3 +135,6 @@ def stamps_its_messages(server: AdapterServer) -> None:
 )
 def commands_without_acknowledgement(server: AdapterServer) -> None:
     publishing(server, lambda message: {"qos": 0})
+
+
+CHOICES = {**_MODBUS, **_MQTT}

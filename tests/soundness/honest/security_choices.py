@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from pytest_otmcp.protocols.bounds import Governance
     from pytest_otmcp.subject import Adapter
 
-__all__ = ["MODBUS", "MQTT", "OPCUA", "S7"]
+__all__ = ["CHOICES"]
 
-MODBUS, modbus = choices("modbus")
-MQTT, mqtt = choices("mqtt")
-OPCUA, opcua = choices("opcua")
-S7, s7 = choices("s7")
+_MODBUS, modbus = choices("modbus")
+_MQTT, mqtt = choices("mqtt")
+_OPCUA, opcua = choices("opcua")
+_S7, s7 = choices("s7")
 
 _PRINT = """
 import json, sqlite3, sys
@@ -205,3 +205,6 @@ def _no_viewer(told: Governance) -> Governance:
 )
 def policy_alone(server: AdapterServer) -> None:
     pass
+
+
+CHOICES = {**_MODBUS, **_MQTT, **_OPCUA, **_S7}
