@@ -163,10 +163,12 @@ def _repeated(at: Rig, entries: Entries) -> list[JournalEntry]:
 
 
 def _meets(entry: JournalEntry, condition: Mapping[str, object]) -> bool:
-    """Tell whether a request is one that a condition of a fault plan is about; what reads changes nothing."""
+    """Tell whether a request, or one of the services that it holds, is what a condition of a fault plan is about; what reads changes
+    nothing."""
     named = {name: value for name, value in condition.items() if not isinstance(value, bool)}
+    held = [item.get("asks") for item in entry.get("items", ())]
     return not entry["state_changing"] and all(
-        value in (entry["kind"], entry.get(name)) for name, value in named.items()
+        value in (entry["kind"], entry.get(name), *held) for name, value in named.items()
     )
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..core.journal_entry import JournalEntry
 
-__all__ = ["ADAPTER", "CYCLIC", "HANDSHAKES", "Entries", "Image", "JournalEntry", "judged"]
+__all__ = ["ADAPTER", "CYCLIC", "HANDSHAKES", "UNTOLD", "Entries", "Image", "JournalEntry", "judged"]
 
 
 Entries = Sequence[JournalEntry]
@@ -24,6 +24,8 @@ CYCLIC = frozenset({"cycle", "inputs"})
 HANDSHAKES = frozenset({"tls", "tls_open", "tls_ended", "tls_alert", "tls_plaintext"})
 """Kinds of entries about a device's end of TLS (``mocks/tls``): none of them asks the device for anything. ``tls``, of the kit, presents
 another certificate."""
+UNTOLD = object()
+"""A fact (``OtProtocol.facts``) that a message refers to without telling it, as a number stands for a name agreed upon before."""
 _NOT_JUDGED = frozenset({"former", "stranger", "unknown"})
 
 

@@ -318,7 +318,8 @@ class OtProtocol:
             rules for delivering a request again; empty where the protocol has none, or there was no occasion.
         events: kinds of entries without a frame that its mock records, beside those of every witness.
         facts: what a journal entry says of members of ``meta.trace``, by name (``a.b`` for a member of a member): the values
-            that the wire has for it; None where nothing is known of traces.
+            that the wire has for it, and ``UNTOLD`` where a message stands for one that it does not have; None where nothing is known
+            of traces.
         stamps: returns the wall-clock times that the adapter has put into entries.
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of ``mocks``, or the dotted name of
             a package of the same shape.

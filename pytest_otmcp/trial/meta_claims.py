@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 from ..core.finding import Finding
 from ..core.strict_json import same_json
-from ..protocols.journal import HANDSHAKES, Entries, JournalEntry
+from ..protocols.journal import HANDSHAKES, UNTOLD, Entries, JournalEntry
 from ..protocols.protocol import Declared, OtProtocol
 from .call_windows import LATE_NS, CallWindow, from_adapter
 from .ledger import Judged
@@ -136,6 +136,8 @@ def _trace(call: Judged, trace: object, seen: Entries, protocol: OtProtocol) -> 
         return
     known = _facts(seen, protocol.facts)
     for name, wire in known.items():
+        if UNTOLD in wire:
+            continue
         stated = _member(trace, name.split("."))
         for value in stated if isinstance(stated, list) else [stated]:
             if value is not None and not any(same_json(value, fact) for fact in wire):

@@ -125,10 +125,10 @@ class Link(DeviceLink[Connection]):
         self, connection: Connection, call: Call, outstation: int, function: int, objects: bytes, changes_state: bool
     ) -> Response:
         sequence = self._sequences[outstation] = (self._sequences.get(outstation, -1) + 1) % _SEQUENCES
+        call.sending(changes_state=changes_state)
         call.trace["outstation"] = outstation
         call.trace.setdefault("functions", []).append(int(function))
         call.trace.setdefault("sequences", []).append(sequence)
-        call.sending(changes_state=changes_state)
         return await connection.ask(outstation, sequence, function, objects, self._timeout_s)
 
     async def status(self, call: Call, outstation: int) -> None:

@@ -77,9 +77,10 @@ class Segment:
                 message = f"the line has {opened['slaves']} slaves, whose positions count from 0"
                 outcome = "not_sent" if call.writes else None
                 raise AdapterError("illegal_address", message, field="/slave_position", outcome=outcome)
-            call.trace["slave"] = position
-        call.trace |= {name: members[name] for name in ("index", "subindex") if name in members}
         call.sending(changes_state=changes)
+        call.trace |= {name: members[name] for name in ("index", "subindex") if name in members}
+        if position is not None:
+            call.trace["slave"] = position
         answer = await self._request(op, members)
         self._accepted(call, answer)
         call.answered()

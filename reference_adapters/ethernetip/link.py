@@ -122,9 +122,9 @@ class Link(DeviceLink[Connection]):
             raise AdapterError("limit_exceeded", message, outcome="not_sent" if call.writes else "not_applicable")
         frame = self._frames._build_eip_header(request)
         (sequence,) = struct.unpack_from("<H", frame, HEADER + 20)
+        call.sending(changes_state=changes_state)
         call.trace.update(facts)
         call.trace.setdefault("sequences", []).append(sequence)
-        call.sending(changes_state=changes_state)
         connection.used = asyncio.get_running_loop().time()
         async with asyncio.timeout(self._timeout_s):
             return reply_of(request[0], await answer(connection, frame, sequence))

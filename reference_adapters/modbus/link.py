@@ -134,10 +134,10 @@ class _Connection:
                 self._give_up()
         elif self._call is not None:
             self.request, facts = request_facts(data)
+            self._call.sending()
             trace = self._call.trace
             trace.update(facts)
             trace.setdefault("transaction_ids", []).append(self.request.transaction)
-            self._call.sending()
             trace["pdus"] = self._call.attempts
         return data
 

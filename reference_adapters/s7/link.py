@@ -80,9 +80,9 @@ class Link(DeviceLink[_Connection]):
             if len(request) > connection.pdu_length:
                 message = f"the controller takes PDUs of up to {connection.pdu_length} bytes; ask for less at once"
                 raise AdapterError("limit_exceeded", message, outcome="not_sent" if call.writes else "not_applicable")
+            call.sending(changes_state=changes_state)
             call.trace.update(request_facts(request))
             call.trace.setdefault("references", []).append(reference(request))
-            call.sending(changes_state=changes_state)
             call.trace["pdus"] = call.attempts
             async with asyncio.timeout(self._timeout_s):
                 return reply_of(self.protocol, request, await _answer(connection, request))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ..journal import JournalEntry
+from ..journal import UNTOLD, JournalEntry
 from .entries import SYMBOL, as_ethernetip
 
 __all__ = ["facts"]
@@ -27,8 +27,11 @@ def facts(entry: JournalEntry) -> Mapping[str, Sequence[object]]:
         "service": [*(item.get("code") for item in items), _outer(message["service"])]
     }
     # The instance of a symbol stands for a name that the message does not have.
-    if not any(item.get("class") == SYMBOL for item in items):
-        found["tag"] = [item["tag"] for item in items if "tag" in item]
+    found["tag"] = [
+        UNTOLD if item.get("class") == SYMBOL else item["tag"]
+        for item in items
+        if item.get("class") == SYMBOL or "tag" in item
+    ]
     if "sequence" in message:
         found["sequences"] = [message["sequence"]]
     return found

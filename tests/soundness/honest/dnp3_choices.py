@@ -320,6 +320,7 @@ def ping_by_an_input(server: AdapterServer) -> None:
 @choice(
     "sends a request again, byte by byte, when half of its time is over, a command too",
     "IEEE 1815, clause 4.2.2.4: an outstation knows a repeated request by its sequence number; meta.attempts says so",
+    described=said_to_ask(2),
 )
 def repeats_with_its_sequence(server: AdapterServer) -> None:
     link = tools_of(server)._link

@@ -183,7 +183,8 @@ def refuses_by_its_description(server: AdapterServer) -> None:
             place = arguments.slave_position, arguments.index, arguments.subindex
             if place == (DRIVE, 0x1000, 0):
                 raise AdapterError("not_writable", "the object can only be read", outcome="not_sent")
-            if place == (DRIVE, 0x2000, 1) and not 0 <= arguments.value <= 1000:
+            value = arguments.value
+            if place == (DRIVE, 0x2000, 1) and isinstance(value, int | float) and not 0 <= value <= 1000:
                 message = "the object takes 0 to 1000"
                 raise AdapterError("range_overflow", message, field="/value", outcome="not_sent")
             return await genuine(call, arguments)

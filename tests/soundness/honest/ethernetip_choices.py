@@ -255,7 +255,7 @@ def reads_with_another_tag(server: AdapterServer) -> None:
         reply, _ = await tools._read_all(call, [target, other])
         if reply.status != _SUCCESS:
             raise ethernetip_tools.refusal(call, reply.status, reply.extended)
-        return {"tag_name": name, **tools._decoded(call, target, reply)}
+        return {"tag_name": name, **ethernetip_tools._told(call, "/data/value", tools._decoded(call, target, reply))}
 
     tools._value = value
 

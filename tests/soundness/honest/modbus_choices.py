@@ -221,7 +221,12 @@ def reads_before_writing(server: AdapterServer) -> None:
         async def handler(call: Call, arguments: Any) -> Any:
             # A question of a writing tool: what breaks here has not been written.
             question = background_call(server)
-            await tools._holding(question, arguments, arguments.address, 1)
+            try:
+                await tools._holding(question, arguments, arguments.address, 1)
+            except AdapterError as error:
+                # What cannot be read may still be refused for another reason.
+                if not error.code.startswith("gateway_"):
+                    raise
             call.attempts += question.attempts
             return await genuine(call, arguments)
 
