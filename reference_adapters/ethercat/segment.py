@@ -72,11 +72,10 @@ class Segment:
         opened = answer["ok"]
         self._generation = self._before + opened["generation"]
         call.connection(generation=self._generation, fresh=opened["fresh"])
-        if position is not None:
-            if position >= opened["slaves"]:
-                message = f"the line has {opened['slaves']} slaves, whose positions count from 0"
-                outcome = "not_sent" if call.writes else None
-                raise AdapterError("illegal_address", message, field="/slave_position", outcome=outcome)
+        if position is not None and position >= opened["slaves"]:
+            message = f"the line has {opened['slaves']} slaves, whose positions count from 0"
+            outcome = "not_sent" if call.writes else None
+            raise AdapterError("illegal_address", message, field="/slave_position", outcome=outcome)
         call.sending(changes_state=changes)
         call.trace |= {name: members[name] for name in ("index", "subindex") if name in members}
         if position is not None:
