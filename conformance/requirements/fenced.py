@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ __all__ = [
     "Fenced",
     "another",
     "approved_numbers",
+    "beyond",
     "can_be_asked",
     "fenced",
     "is_written",
@@ -85,6 +87,14 @@ async def refused(
 def whole(value: float) -> float:
     """Return a whole number as one, as tools for whole numbers want it."""
     return int(value) if value == int(value) else value
+
+
+def beyond(way: Callable[[float], Asked], value: float) -> list[Asked]:
+    """Return the write of a number beyond a limit; none where the target's type has no such number, which WR-004 asks for."""
+    try:
+        return [way(whole(value))]
+    except (struct.error, OverflowError):
+        return []
 
 
 @dataclass(frozen=True, slots=True)

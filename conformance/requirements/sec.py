@@ -12,7 +12,7 @@ from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 
-from .fenced import BEYOND, FORBIDDEN, another, fenced, is_written, refused, taken, whole, written
+from .fenced import BEYOND, FORBIDDEN, another, beyond, fenced, is_written, refused, taken, written
 from .steps import NOTHING_SENT, a_read_works, citing, exercise, faulty, nothing_arrived, refusal, since, witness
 
 __all__ = ["TASKS"]
@@ -48,8 +48,8 @@ async def nobody_writes_what_the_policy_forbids(run: Repetition, at: Rig, govern
     await _claimed(run, governed, asks.outside[0], *FORBIDDEN)
     if asks.way is not None and told.approval is not None:
         highest = told.bounds.limits[told.approval["target"]].highest or 0
-        beyond = asks.way(whole(highest + known.limited[told.approval["target"]].unit))
-        await refused(run, governed, governed.call, beyond, *BEYOND, requirement="SEC-001")
+        for asked in beyond(asks.way, highest + known.limited[told.approval["target"]].unit):
+            await refused(run, governed, governed.call, asked, *BEYOND, requirement="SEC-001")
     for asked in asks.inside:
         await written(run, governed, asked, requirement="SEC-001")
     if told.viewer:

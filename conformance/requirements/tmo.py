@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.text import counted
@@ -166,7 +167,8 @@ def _meets(entry: JournalEntry, condition: Mapping[str, object]) -> bool:
     """Tell whether a request, or one of the services that it holds, is what a condition of a fault plan is about; what reads changes
     nothing."""
     named = {name: value for name, value in condition.items() if not isinstance(value, bool)}
-    held = [item.get("asks") for item in entry.get("items", ())]
+    services: Any = entry.get("items", ())
+    held = [one.get("asks") for one in services]
     return not entry["state_changing"] and all(
         value in (entry["kind"], entry.get(name), *held) for name, value in named.items()
     )

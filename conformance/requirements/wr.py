@@ -32,7 +32,7 @@ from pytest_otmcp.wire.mqtt.sparkplug import parse_topic
 from ..commanded import carried_out
 from ..commanded import guarded as guarded_command
 from ..tasks.common import UNCERTAIN, a_meaningless_switch_enables_nothing, each_fails, each_write
-from .fenced import BEYOND, FORBIDDEN, can_be_asked, is_written, refused, whole
+from .fenced import BEYOND, FORBIDDEN, beyond, can_be_asked, is_written, refused, whole
 from .steps import (
     CONNECTION_FAULTS,
     QUIET_S,
@@ -627,14 +627,16 @@ async def _keeps(at: _Limiting, ways: Sequence[Callable[[float], Asked]]) -> Non
     last = await at.held(ways[0])
     for way in ways:
         if limit.step is None:
-            for bound, beyond in ((limit.lowest, -unit), (limit.highest, unit)):
+            for bound, outward in ((limit.lowest, -unit), (limit.highest, unit)):
                 if bound is not None:
                     await at.written(way(whole(bound)))
-                    await at.refused(way(whole(bound + beyond)), *BEYOND)
+                    for asked in beyond(way, bound + outward):
+                        await at.refused(asked, *BEYOND)
                     last = bound
         else:
             await at.written(way(whole(last)))
-            await at.refused(way(whole(last + limit.step + unit)), *BEYOND)
+            for asked in beyond(way, last + limit.step + unit):
+                await at.refused(asked, *BEYOND)
             last += limit.step
             await at.written(way(whole(last)))
     within = ways[0](whole(last))
