@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
             f"--out {args.out}: it is emptied before the run, so it must be called {row.key}, as the row is"
         )
     if row.image is not None and not args.contained:
-        return _in_container(row, args.row.absolute(), out)
+        return _in_container(row, args.row.absolute(), out, args.attempt)
     out.mkdir(parents=True, exist_ok=True)
     # In a container it is a mount point, which cannot be removed itself.
     for path in out.iterdir():
@@ -245,7 +245,7 @@ def _refusal(out: Path, home: Path) -> str:
     return cut(one_line(found[-1] if found else "the suite did not begin").replace(f"{home}/", ""))
 
 
-def _in_container(row: Row, file: Path, out: Path) -> int:
+def _in_container(row: Row, file: Path, out: Path, attempt: int) -> int:
     """Carry out the row in its container, without a network and with bounded memory and processors."""
     engine = next(filter(None, map(shutil.which, _ENGINES)), None)
     if engine is None:
@@ -254,5 +254,6 @@ def _in_container(row: Row, file: Path, out: Path) -> int:
     out.mkdir(parents=True, exist_ok=True)
     limits = ["--network=none", "--cpus=2", "--memory=2g", "--pids-limit=1024", "--cap-drop=all"]
     mounts = [f"--volume={file}:/fleet/{file.name}:ro", f"--volume={out}:/fleet/runs/{row.key}"]
-    inside = ["otmcp", "fleet", "row", f"/fleet/{file.name}", "--contained", f"--out=/fleet/runs/{row.key}"]
+    words = ["--contained", f"--out=/fleet/runs/{row.key}", f"--attempt={attempt}"]
+    inside = ["otmcp", "fleet", "row", f"/fleet/{file.name}", *words]
     return subprocess.run([engine, "run", "--rm", *limits, *mounts, row.image, *inside], check=False).returncode
