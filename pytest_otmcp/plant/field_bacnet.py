@@ -1,7 +1,7 @@
-"""A real BACnet/IP device at ``udp://host[:port][/FIRST]``, and the second client that reads it, written on the kit's own codec.
+"""A real BACnet/IP device at ``udp://host[:port][/DEVICE[/FIRST]]``, and the second client that reads it, written on the kit's own codec.
 
-From the element FIRST of the device's object list on, by default the first one, up to 16 present values are read, of analog and of
-multi-state objects: adapters tell the states of binary ones as numbers, as names or as truth values.
+DEVICE is the instance of the device, which most tell who asks. From the element FIRST of its object list on, by default the first one,
+up to 16 present values are read, of analog and of multi-state objects: adapters tell the states of binary ones as numbers, as names or as truth values.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ class BacnetFieldDevice(FieldDevice):
     def __init__(self, url: str, consent: Consent | None = None) -> None:
         parts = urlsplit(url)
         host, port = parts.hostname or "127.0.0.1", parts.port or EXTERNAL.default_port
-        self._reader = BacnetClient(host, port, int(parts.path.strip("/") or 1))
+        device, _, first = parts.path.strip("/").partition("/")
+        self._reader = BacnetClient(host, port, int(device or _ITSELF), int(first or 1))
         target = Endpoint(name="bacnet", kind="udp", host=host, port=port)
         super().__init__("bacnet", url, target, self._reader, consent)
 
@@ -76,13 +77,13 @@ class BacnetClient(ReadingClient):
     """
 
     name = "the kit's own BACnet client"
-    elsewhere = "/100"
+    elsewhere = "/12345/100"
     taken = "BACnet devices"
 
-    def __init__(self, host: str, port: int, first: int) -> None:
+    def __init__(self, host: str, port: int, device: int, first: int) -> None:
         self._address = (host, port)
+        self._own: Target = (_DEVICE, device)
         self._first = first
-        self._own: Target = (_DEVICE, _ITSELF)
         self._objects: list[Target] = []
         self.is_heard = False
 
@@ -90,11 +91,15 @@ class BacnetClient(ReadingClient):
         """Find out which device this is; return its vendor, its model and its revision."""
         async with self._connection() as device:
             with suppress(UnreachableError):
-                self._own = await device.looked_for()
+                self._own = await device.looked_for(self._own[1])
                 self.is_heard = True
-            if not self.is_heard:
+            if self._own[1] == _ITSELF:
                 told = await device.told(self._own, _OBJECT_IDENTIFIER)
-                self._own = (_DEVICE, told[0]["value"][1]) if told else self._own
+                if not told:
+                    raise UnreachableError(
+                        "it does not say which device it is: name its instance, such as /12345 behind the port"
+                    )
+                self._own = (_DEVICE, told[0]["value"][1])
             texts = [await device.told(self._own, number) for number in _IDENTITY]
         return " ".join(str(text[0]["value"]) for text in texts if text) or None
 
@@ -102,9 +107,9 @@ class BacnetClient(ReadingClient):
         """Look through the object list for numbers; find an object that is not there."""
         async with self._connection() as device:
             count = await device.told(self._own, _OBJECT_LIST, 0)
-            if self._own[1] == _ITSELF or not count:
-                raise UnreachableError("it does not tell which device it is and which objects it has")
-            for index in range(self._first, min(count[0]["value"] + 1, self._first + _LISTED)):
+            if not count:
+                raise UnreachableError(f"as device {self._own[1]} it does not tell which objects it has")
+            for index in range(max(1, self._first), min(count[0]["value"] + 1, self._first + _LISTED)):
                 for listed in await device.told(self._own, _OBJECT_LIST, index):
                     target = (listed["value"][0], listed["value"][1])
                     if target[0] in _NUMBERS and await device.number(target) is not None:
@@ -150,13 +155,15 @@ class _Connection:
         self._own = own
         self._number = 0
 
-    async def looked_for(self) -> Target:
-        """Return the device that answers a Who-Is."""
+    async def looked_for(self, device: int) -> Target:
+        """Return the device that answers a Who-Is, this one or, where it is not known, any."""
+
+        def is_told(one: Apdu) -> bool:
+            is_i_am = one.kind == PduType.UNCONFIRMED_REQUEST and one.service == Unconfirmed.I_AM
+            return is_i_am and device in (_ITSELF, _instance(one))
+
         asked = bytes([PduType.UNCONFIRMED_REQUEST << 4, Unconfirmed.WHO_IS])
-        told = await self._exchange(
-            unicast(asked), lambda one: one.kind == PduType.UNCONFIRMED_REQUEST and one.service == Unconfirmed.I_AM
-        )
-        return _DEVICE, value_of("object-identifier", Tags(told.data).next().content).value[1]
+        return _DEVICE, _instance(await self._exchange(unicast(asked), is_told))
 
     async def answer(self, target: Target, number: int, index: int | None = None) -> dict[str, Any]:
         """Return what the device says when it is asked for a property."""
@@ -194,3 +201,9 @@ class _Connection:
                             if answers(found := head_of(frame_of(received, answer=True).apdu)):
                                 return found
         raise UnreachableError("it does not answer")
+
+
+def _instance(told: Apdu) -> int:
+    """Return the instance of the device that an I-Am is from."""
+    _, instance = value_of("object-identifier", Tags(told.data).next().content).value
+    return int(instance)

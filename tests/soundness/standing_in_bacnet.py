@@ -1,7 +1,8 @@
 """A BACnet/IP device built on bacpypes3, which stands for a real one and takes every write: ``python standing_in_bacnet.py PORT``.
 
 It says on its first line that it serves. At each line of its input it tells every datagram that has reached its socket, before the library
-has seen it, and what its objects hold. It ends with its input; ``… PORT stays`` goes on.
+has seen it, and what its objects hold. It ends with its input; ``… PORT stays`` goes on, and ``… PORT shouts`` answers a Who-Is by broadcast, which on
+one machine reaches nobody.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from bacpypes3.app import NormalApplication
 from bacpypes3.ipv4 import IPv4DatagramProtocol
+from bacpypes3.ipv4.app import NormalApplication
 from bacpypes3.local.analog import AnalogInputObject, AnalogValueObject
 from bacpypes3.local.binary import BinaryValueObject
 from bacpypes3.local.device import DeviceObject
@@ -43,7 +44,12 @@ def tell(genuine: Callable[..., None]) -> Callable[..., None]:
     return connection_made
 
 
-async def main(port: int, *, stays: bool) -> None:
+class Shouting(NormalApplication):
+    async def do_WhoIsRequest(self, apdu: Any) -> None:
+        pass
+
+
+async def main(port: int, how: str) -> None:
     IPv4DatagramProtocol.datagram_received = record(IPv4DatagramProtocol.datagram_received)
     IPv4DatagramProtocol.connection_made = tell(IPv4DatagramProtocol.connection_made)
     own = DeviceObject(
@@ -54,7 +60,7 @@ async def main(port: int, *, stays: bool) -> None:
         modelName="Stand-in",
         firmwareRevision="1.0",
     )
-    device = NormalApplication(own, IPv4Address(f"127.0.0.1:{port}"))
+    device = (Shouting if how == "shouts" else NormalApplication)(own, IPv4Address(f"127.0.0.1:{port}"))
     objects = {}
     for name, value in REALS.items():
         kind = AnalogInputObject if name.startswith("analog-input") else AnalogValueObject
@@ -73,9 +79,9 @@ async def main(port: int, *, stays: bool) -> None:
     while await loop.run_in_executor(None, sys.stdin.readline):
         held = {name: float(one.presentValue) for name, one in objects.items()}
         print(json.dumps({"received": received, "held": held}), flush=True)
-    if stays:
+    if how == "stays":
         await loop.create_future()
 
 
 if __name__ == "__main__":
-    asyncio.run(main(int(sys.argv[1]), stays="stays" in sys.argv[2:]))
+    asyncio.run(main(int(sys.argv[1]), " ".join(sys.argv[2:])))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from ..external import DEVICE, ExternalDevice
 
 __all__ = ["EXTERNAL"]
@@ -12,4 +14,5 @@ EXTERNAL = ExternalDevice(
     default_port=47808,
     noun="BACnet/IP device",
     implementation="pytest_otmcp.plant.field_bacnet:BacnetFieldDevice",
+    is_place=lambda place: re.fullmatch(r"[0-9]{1,7}(/[0-9]{1,7})?", place) is not None,
 )

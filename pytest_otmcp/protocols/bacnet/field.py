@@ -99,14 +99,10 @@ def _was_read(entries: Entries, asked: Asked) -> list[Finding]:
 
 def _sent(entries: Entries) -> list[object]:
     results = (one for entry in entries if entry["kind"] == "response" for one in as_bacnet(entry).get("results", []))
-    return [
-        value["value"] for one in results if one["property"] == PRESENT_VALUE for value in one.get("values", [])
-    ]
+    return [value["value"] for one in results if one["property"] == PRESENT_VALUE for value in one.get("values", [])]
 
 
-FIELD = Field(
-    harmless=_harmless, reads=_reads, beyond=_beyond, was_read=_was_read, sent=_sent, unseen=_unseen
-)
+FIELD = Field(harmless=_harmless, reads=_reads, beyond=_beyond, was_read=_was_read, sent=_sent, unseen=_unseen)
 
 UNHEARD = replace(
     FIELD, harmless=lambda frame: _harmless(frame) and head_of(frame_of(frame).apdu).kind != PduType.UNCONFIRMED_REQUEST
