@@ -1,6 +1,6 @@
 """A real BACnet/IP device at ``udp://host[:port][/DEVICE[/FIRST]]``, and the second client that reads it, written on the kit's own codec.
 
-DEVICE is the instance of the device, which most tell who asks. From the element FIRST of its object list on, by default the first one,
+DEVICE is the instance of the device, which most tell who asks them by Who-Is. From the element FIRST of its object list on, by default the first one,
 up to 16 present values are read, of analog and of multi-state objects: adapters tell the states of binary ones as numbers, as names or as truth values.
 """
 
@@ -28,19 +28,16 @@ __all__ = ["BacnetClient", "BacnetFieldDevice"]
 
 _TRANSMISSIONS, _WAIT_S = 3, 2.0
 _LISTED, _READ = 128, 16
-_NUMBERS = {0, 1, 2, 13, 14, 19}
-"""Types of analog and multi-state inputs, outputs and values."""
-_ANALOG_INPUT, _DEVICE, _ITSELF = 0, 8, 4194303
-"""Types of objects, and the instance by which a device answers as itself (clause 15.5.2)."""
+_NUMBERS, _KINDS = (0, 1, 2, 13, 14, 19), ("real", "unsigned")
+"""Types of analog and multi-state inputs, outputs and values, and the datatypes of their present values."""
+_ANALOG_INPUT, _DEVICE, _ANY = 0, 8, 4194303
+"""Types of objects, and the instance that no device has (clause 20.2.14)."""
 _FAR = (4194301, 999983)
 """Instances that most devices do not have."""
-_OBJECT_IDENTIFIER, _OBJECT_LIST = 75, 76
-_IDENTITY = (121, 70, 44)
-"""Name of the vendor and of the model, revision of the firmware."""
+_OBJECT_LIST, _IDENTITY = 76, (121, 70, 44)
+"""Properties of the device: its objects; the name of the vendor and of the model, revision of the firmware."""
 _UNKNOWN_OBJECT = [1, 31]
 """The error for an object that is not there (clause 18); by any other one a device says something else."""
-_KINDS = ("real", "unsigned")
-"""Datatypes of their present values."""
 _LARGEST_DATAGRAM = 65_535
 _LARGEST_ANSWER = 5
 """1476 bytes, in one segment (clause 20.1.2)."""
@@ -58,7 +55,7 @@ class BacnetFieldDevice(FieldDevice):
         parts = urlsplit(url)
         host, port = parts.hostname or "127.0.0.1", parts.port or EXTERNAL.default_port
         device, _, first = parts.path.strip("/").partition("/")
-        self._reader = BacnetClient(host, port, int(device or _ITSELF), int(first or 1))
+        self._reader = BacnetClient(host, port, int(device or _ANY), int(first or 1))
         target = Endpoint(name="bacnet", kind="udp", host=host, port=port)
         super().__init__("bacnet", url, target, self._reader, consent)
 
@@ -93,13 +90,10 @@ class BacnetClient(ReadingClient):
             with suppress(UnreachableError):
                 self._own = await device.looked_for(self._own[1])
                 self.is_heard = True
-            if self._own[1] == _ITSELF:
-                told = await device.told(self._own, _OBJECT_IDENTIFIER)
-                if not told:
-                    raise UnreachableError(
-                        "it does not say which device it is: name its instance, such as /12345 behind the port"
-                    )
-                self._own = (_DEVICE, told[0]["value"][1])
+            if self._own[1] == _ANY:
+                raise UnreachableError(
+                    "it does not answer a Who-Is; where it broadcasts the answer, name its instance, such as /12345 behind the port"
+                )
             texts = [await device.told(self._own, number) for number in _IDENTITY]
         return " ".join(str(text[0]["value"]) for text in texts if text) or None
 
@@ -160,7 +154,7 @@ class _Connection:
 
         def is_told(one: Apdu) -> bool:
             is_i_am = one.kind == PduType.UNCONFIRMED_REQUEST and one.service == Unconfirmed.I_AM
-            return is_i_am and device in (_ITSELF, _instance(one))
+            return is_i_am and device in (_ANY, _instance(one))
 
         asked = bytes([PduType.UNCONFIRMED_REQUEST << 4, Unconfirmed.WHO_IS])
         return _DEVICE, _instance(await self._exchange(unicast(asked), is_told))
@@ -172,9 +166,10 @@ class _Connection:
         asked += context(0, "object-identifier", target) + context(1, "unsigned", number)
         if index is not None:
             asked += context(2, "unsigned", index)
-        return answer_fields(
-            await self._exchange(unicast(asked, expects_reply=True), lambda one: one.invoke_id == self._number)
-        )
+        return answer_fields(await self._exchange(unicast(asked, expects_reply=True), self._is_answer))
+
+    def _is_answer(self, one: Apdu) -> bool:
+        return one.kind > PduType.UNCONFIRMED_REQUEST and one.invoke_id == self._number
 
     async def told(self, target: Target, number: int, index: int | None = None) -> Said:
         """Return the values of a property; none where the device refuses."""

@@ -17,7 +17,9 @@ import pytest
 from rusty_bacnet import BACnetServer
 
 from pytest_otmcp.errors import UsageError
+from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.plant.field_bacnet import BacnetFieldDevice
+from pytest_otmcp.session.isolation import Isolation
 from pytest_otmcp.session.loop import LoopThread
 
 from .conftest import HERE, failing, words
@@ -141,7 +143,7 @@ def test_an_adapter_that_looks_for_a_device_which_broadcasts_its_answer_is_not_j
     with standing_in("shouts") as (url, ask):
         results = judge(f"{url}/4711", key="bacnet")
         assert statuses(results) == ["NOT_TESTABLE"] * 2 + ["NOT_APPLICABLE"] * 3, words(results)
-        with pytest.raises(UsageError, match="does not say which device it is: name its instance"):
+        with pytest.raises(UsageError, match="does not answer a Who-Is; where it broadcasts"):
             launched(loop, url, None, key="bacnet")
         assert "give the adapter a launch that knows the device's address" in words(results)
         unchanged(ask())
@@ -188,6 +190,32 @@ def test_the_place_of_the_url_is_where_numbers_are_looked_for(device: tuple[str,
     with pytest.raises(UsageError, match="nothing to BACnet devices"):
         launched(loop, url, replace(consent_to(url), device=f"bacnet={url}"), key="bacnet")
     unchanged(ask())
+
+
+def test_behind_walls_there_is_no_way_past_the_tap(device: tuple[str, Ask], loop: LoopThread) -> None:
+    url, ask = device
+    read = bytes.fromhex("810a0011 0104 00050b0c 0c00000001 1955")
+    isolation = Isolation()
+    try:
+        walls = isolation.walls()
+        if walls is None or not walls.network:
+            pytest.skip("this machine makes no networks of their own")
+        plant = Plant({"bacnet": url}, isolation)
+        try:
+            tapped = loop.run(plant.device("bacnet"))
+            with walls.socket(socket.SOCK_DGRAM) as inside:
+                inside.settimeout(60)
+                inside.sendto(read, ("127.0.0.1", int(url.rpartition(":")[2])))
+                inside.sendto(read, (tapped.host, tapped.port))
+                answer, sender = inside.recvfrom(1500)
+                assert sender == (tapped.host, tapped.port)
+                assert answer[6:9] == bytes.fromhex("300b0c")
+        finally:
+            loop.run(plant.close())
+        # Where nobody listens in there, nothing can arrive later either.
+        assert ask()["received"].count(read.hex()) == 1
+    finally:
+        isolation.close()
 
 
 def test_what_speaks_no_bacnet_is_told(loop: LoopThread) -> None:

@@ -399,6 +399,7 @@ BN_NEVER = {
     "a reserved bit of a Who-Is": bvll("0100 11 08"),
     "a segment of an answer": bvll("0100 38 01 00 04 0c 00"),
     **{f"an answer {first}": bvll(f"0100 {first} 01 0f 00") for first in ("20", "30", "41", "43", "50", "60", "71")},
+    "a device's end of an exchange": bvll("0100 71 01 00"),
     "an acknowledgement and more": bvll("0100 40 01 00 04 00"),
     "an end and more": bvll("0100 70 01 00 00"),
     **{f"the PDU type {kind}": bvll(f"0100 {kind:x}0 01 00 04") for kind in range(8, 16)},
