@@ -161,6 +161,7 @@ def test_an_adapter_is_judged_while_the_device_is_away(
         consent = replace(consent_to(url), device=f"bacnet={url}", writable=(), stop=off, start=on)
         results = judge(url, *program, key="bacnet", consent=consent)
         assert failing(results) == failed, words(results)
+        assert (results["F6-bacnet"]["status"] == "PASS") == (not failed), words(results)
     finally:
         subprocess.run(off, check=False)
 

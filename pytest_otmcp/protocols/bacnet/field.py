@@ -1,7 +1,7 @@
 """What the kit may do at a real BACnet/IP device: read present values that are numbers. It writes nothing there.
 
-What reaches more than this device does not pass, and neither does what the device keeps when its client has gone: a subscription, a
-foreign device, and an I-Am, by which it would take the client for a peer.
+What reaches more than this device does not pass, and neither does what the device keeps when its client has gone: a subscription that does
+not end by itself, a foreign device, and an I-Am, by which it would take the client for a peer.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import replace
 from ...core.finding import Finding
 from ...wire.bacnet.frames import PduType, frame_of, head_of
 from ...wire.bacnet.services import Confirmed, Unconfirmed, asked_of, who_has, who_is
+from ...wire.bacnet.values import Tags
 from ..exercise import Asked
 from ..field import Field
 from ..journal import Entries, Image
@@ -29,8 +30,8 @@ _REQUESTS = (0x00, 0x02)
 _UNCONFIRMED, _SEGMENT_ACKS, _ABORT = 0x10, (0x40, 0x42), 0x70
 """First byte of what a client, not a server, sends (clause 20.1)."""
 _READS = (Confirmed.READ_PROPERTY, Confirmed.READ_PROPERTY_MULTIPLE)
-_SUBSCRIPTIONS = (5, 28, 30)
-"""SubscribeCOV, SubscribeCOVProperty and SubscribeCOVPropertyMultiple."""
+_SUBSCRIBE, _SUBSCRIPTIONS, _IDENTIFIER, _HOUR_S = 5, (5, 28, 30), 4, 3600
+"""SubscribeCOV (clause 13.14); with SubscribeCOVProperty and SubscribeCOVPropertyMultiple; bytes of an object identifier."""
 _APART = 3
 
 
@@ -39,6 +40,8 @@ def _harmless(frame: bytes) -> bool:
         return False
     apdu = frame_of(frame).apdu
     head = head_of(apdu)
+    if apdu[0] in _REQUESTS and head.service == _SUBSCRIBE:
+        return _ends_by_itself(head.data)
     if apdu[0] in _REQUESTS:
         return head.service in _READS and asked_of(head.service, head.data).rejected is None
     if apdu[0] == _UNCONFIRMED and head.service in _LOOKS:
@@ -50,6 +53,18 @@ def _harmless(frame: bytes) -> bool:
 
 
 _LOOKS: dict[int, Callable[[bytes], object]] = {Unconfirmed.WHO_IS: who_is, Unconfirmed.WHO_HAS: who_has}
+
+
+def _ends_by_itself(data: bytes) -> bool:
+    """Tell whether a SubscribeCOV ends a subscription of the client's own, or asks for an hour at most, for what nobody has to confirm."""
+    tags, found = Tags(data), []
+    while not tags.at_end:
+        found.append(tags.next())
+    if any(not tag.is_context or tag.is_opening or tag.is_closing for tag in found):
+        return False
+    numbers = [tag.number for tag in found if tag.number != 1 or len(tag.content) == _IDENTIFIER]
+    is_short = len(found) == 4 and found[2].content == b"\0" and 0 < int.from_bytes(found[3].content) <= _HOUR_S
+    return numbers == [0, 1] or (numbers == [0, 1, 2, 3] and is_short)
 
 
 def _unseen(frame: bytes) -> str | None:
@@ -64,7 +79,7 @@ def _unseen(frame: bytes) -> str | None:
     if head.kind != PduType.CONFIRMED_REQUEST:
         return None
     if head.service in _SUBSCRIPTIONS:
-        return "the adapter subscribes to values, which the device would keep when the run is over"
+        return "the adapter subscribes to values for longer than an hour, for notifications that are confirmed, or by another service than SubscribeCOV"
     if head.is_segmented and head.service in _READS:
         return "the adapter sends a request in several segments, and the tap sees into those in one alone"
     return None
