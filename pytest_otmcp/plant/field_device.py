@@ -11,6 +11,7 @@ import asyncio
 import os
 import signal
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
@@ -24,7 +25,7 @@ from ..wire.framing import FrameLength, Framer, MalformedError
 from .endpoint import Endpoint
 from .tapped_device import TappedDevice
 
-__all__ = ["FieldDevice", "Gate", "SecondClient", "UnreachableError", "UnrestoredError", "connected"]
+__all__ = ["FieldDevice", "Gate", "ReadingClient", "SecondClient", "UnreachableError", "UnrestoredError", "connected"]
 
 _ANSWER_TIMEOUT_S = 5.0
 _COMMAND_S, _GONE_S, _BACK_S, _LOOK_S = 60.0, 30.0, 300.0, 0.2
@@ -114,17 +115,47 @@ class SecondClient(Protocol):
         """Write one value: what was there before."""
 
 
+class ReadingClient(ABC):
+    """The half of a :class:`SecondClient` for devices to which nothing may be written; ``taken`` names them in sentences."""
+
+    taken: str
+    library: str | None = None
+
+    @abstractmethod
+    async def read(self) -> dict[str, object]:
+        """Read what the survey has found."""
+
+    async def values(self, points: tuple[str, ...] = ()) -> dict[str, object]:
+        """Read what the survey has found; refuse points of a consent."""
+        if points:
+            raise UnreachableError(f"the kit writes nothing to {self.taken}, so no consent is taken for one")
+        return await self.read()
+
+    async def held(self, points: tuple[str, ...]) -> dict[str, object]:
+        """Refuse: nothing is written, so nothing has an old value."""
+        return await self.values(points)
+
+    def bounds(self, point: str) -> tuple[float, float]:
+        """Return those of a point to which nothing may be written."""
+        return 0, 0
+
+    async def write(self, point: str, value: Any) -> None:
+        """Refuse: nothing was written, so nothing is given back."""
+        raise UnreachableError(f"the kit does not write {point}")
+
+
 class Gate:
     """The decision which frames reach a real device. Whatever goes wrong with it, the frame does not.
 
     Attributes:
+        field: of the device's protocol.
         is_open: what the consent allows may pass now.
         passed: the points that frames have written which passed, with their values.
         unseen: why nobody can see what a frame asks for that did not pass, a clause; None while there was no such frame.
     """
 
     def __init__(self, field: Field, consent: Consent | None) -> None:
-        self._field = field
+        self.field = field
         self._consent = consent
         self.is_open = False
         self.passed: dict[str, list[object]] = {}
@@ -133,11 +164,11 @@ class Gate:
     def __call__(self, frame: bytes) -> bool:
         """Tell whether a whole frame may reach the device."""
         try:
-            if self._field.harmless(frame):
+            if self.field.harmless(frame):
                 return True
-            written = self._field.written(frame) if self.is_open and self._consent is not None else None
+            written = self.field.written(frame) if self.is_open and self._consent is not None else None
             if self._consent is None or written is None or not self._consent.allows(written):
-                self.unseen = self._field.unseen(frame) or self.unseen
+                self.unseen = self.field.unseen(frame) or self.unseen
                 return False
         except Exception:  # what cannot be read may do anything
             return False

@@ -17,7 +17,7 @@ from ..protocols.s7.external import EXTERNAL
 from ..wire.framing import MalformedError
 from ..wire.s7 import JOB, SUCCESS, USER_DATA, Pdu, answer_fields, data_frame, tpkt_length
 from .endpoint import Endpoint
-from .field_device import FieldDevice, UnreachableError, connected
+from .field_device import FieldDevice, ReadingClient, UnreachableError, connected
 
 __all__ = ["S7Client", "S7FieldDevice"]
 
@@ -45,12 +45,12 @@ class S7FieldDevice(FieldDevice):
         super().__init__("s7", url, Endpoint(name="s7", kind="tcp", host=host, port=port), client, consent)
 
 
-class S7Client:
+class S7Client(ReadingClient):
     """The second client, see :class:`~pytest_otmcp.plant.field_device.SecondClient`."""
 
     name = "the kit's own S7 client"
     elsewhere = "/2"
-    library: str | None = None
+    taken = "S7 controllers"
 
     def __init__(self, host: str, port: int, db: int) -> None:
         self._address = (host, port)
@@ -76,10 +76,8 @@ class S7Client:
             missing = [db for db in _FAR if (await _item(ask, db, 1)).get("code") in _NOT_THERE]
         return {"db": missing[0]} if missing else {}
 
-    async def values(self, points: tuple[str, ...] = ()) -> dict[str, object]:
+    async def read(self) -> dict[str, object]:
         """Read the bytes that the survey has found."""
-        if points:
-            raise UnreachableError("the kit writes nothing to S7 controllers, so no consent is taken for one")
         if not self._size:
             raise UnreachableError(f"it refuses to read its data block {self._db}")
         async with self._connection() as ask:
@@ -87,18 +85,6 @@ class S7Client:
         if content is None:
             raise UnreachableError(f"it refuses to read its data block {self._db}")
         return dict(named(f"DB{self._db}", 0, content))
-
-    async def held(self, points: tuple[str, ...]) -> dict[str, object]:
-        """Refuse: nothing is written, so nothing has an old value."""
-        return await self.values(points)
-
-    def bounds(self, point: str) -> tuple[float, float]:
-        """Return those of a byte."""
-        return 0, 0xFF
-
-    async def write(self, point: str, value: Any) -> None:
-        """Refuse: nothing was written, so nothing is given back."""
-        raise UnreachableError(f"the kit does not write {point}")
 
     @asynccontextmanager
     async def _connection(self) -> AsyncIterator[Ask]:

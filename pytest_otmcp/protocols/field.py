@@ -107,27 +107,28 @@ class Field:
     Attributes:
         harmless: tells of a whole frame to the device whether it can change nothing whatever the device makes of it. A frame that is
             not known to be so is not: what cannot be read changes something.
-        written: returns the points that a frame writes, with their values; None of a frame that no consent can allow.
         reads: makes calls that read points of an image, by the operations that a subject claims; first those of one point each, which hold
             values that differ.
         beyond: makes the call for what is not there, as the device has told the second client; None where there is none.
-        write: makes the call that writes a value to a point; None where no operation does.
         was_read: expects that the device was asked for what a call reads, and answered.
-        was_written: expects that one request that changes the plant was seen: what a call writes.
         sent: returns the values that the device sent, in order.
+        written: returns the points that a frame writes, with their values; None of a frame that no consent can allow. This and the next
+            two are left out where nothing may be written.
+        write: makes the call that writes a value to a point; None where no operation does.
+        was_written: expects that one request that changes the plant was seen: what a call writes.
         unseen: says of a frame that may not pass, in a clause, why nobody can see what it asks for; None where it can be seen.
         led: returns a frame of the device with ``host:port`` of the tap in the place of the addresses by which it tells clients where
             it is, and None for one where it cannot take their place; None where devices tell none.
     """
 
     harmless: Callable[[bytes], bool]
-    written: Callable[[bytes], Mapping[str, object] | None]
     reads: Callable[[Image, Callable[[str], bool]], Sequence[Asked]]
     beyond: Callable[[Image, Callable[[str], bool]], Asked | None]
-    write: Callable[[str, object], Asked | None]
     was_read: Callable[[Entries, Asked], list[Finding]]
-    was_written: Callable[[Entries, Asked], list[Finding]]
     sent: Callable[[Entries], Sequence[object]]
+    written: Callable[[bytes], Mapping[str, object] | None] = lambda frame: None
+    write: Callable[[str, object], Asked | None] = lambda point, value: None
+    was_written: Callable[[Entries, Asked], list[Finding]] = lambda entries, asked: []
     unseen: Callable[[bytes], str | None] = lambda frame: None
     led: Callable[[bytes, str], bytes | None] | None = None
 

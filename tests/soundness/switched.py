@@ -1,7 +1,7 @@
 """A Modbus device whose power is switched: ``python switched.py on PORT FILE`` starts it, and
 ends once it serves, ``… off PORT FILE`` kills it.
 
-Words behind FILE are those of another device's program. FILE holds the number of its process. Whatever it is asked to write it notes in ``FILE.writes``.
+Words behind FILE are those of another device's program, which says a line once it serves where PORT is 0. FILE holds the number of its process. Whatever it is asked to write it notes in ``FILE.writes``.
 """
 
 from __future__ import annotations
@@ -43,8 +43,12 @@ def main(what: str, port: str, file: Path, *other: str) -> int:
     elif what == "on":
         words = other or (sys.executable, __file__, "serve", port, str(file))
         with open(os.devnull, "r+b") as nothing:
-            child = subprocess.Popen(words, stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True)
+            said = subprocess.PIPE if port == "0" else nothing
+            child = subprocess.Popen(words, stdin=nothing, stdout=said, stderr=nothing, start_new_session=True)
         file.write_text(str(child.pid))
+        if child.stdout is not None:
+            child.stdout.readline()
+            return 0
         while child.poll() is None:
             with socket.socket() as probe:
                 if probe.connect_ex(("127.0.0.1", int(port))) == 0:

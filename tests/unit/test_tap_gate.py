@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import datetime
 import re
+import socket
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -24,9 +25,12 @@ from pytest_otmcp.plant.consent import read_consent
 from pytest_otmcp.plant.endpoint import Endpoint
 from pytest_otmcp.plant.field_device import FieldDevice, Gate
 from pytest_otmcp.plant.field_opcua import OpcUaClient
+from pytest_otmcp.plant.tap.datagram import DatagramTap
 from pytest_otmcp.plant.tap.lane import Lane
 from pytest_otmcp.plant.tap.stream import StreamTap
 from pytest_otmcp.plant.tap.tap import new_tap
+from pytest_otmcp.protocols.bacnet.field import FIELD as BACNET
+from pytest_otmcp.protocols.bacnet.field import UNHEARD
 from pytest_otmcp.protocols.field import Consent, Field, Writable
 from pytest_otmcp.protocols.modbus.field import FIELD
 from pytest_otmcp.protocols.opcua.field import FIELD as OPCUA
@@ -282,8 +286,8 @@ def test_what_cannot_be_cut_into_frames_has_no_guard() -> None:
     guard = gate(is_open=False)
     with pytest.raises(KitError, match="without its frames"):
         new_tap(Endpoint(name="x", kind="tcp", host="127.0.0.1", port=1), None, guard)
-    with pytest.raises(KitError, match="guards none of those"):
-        new_tap(Endpoint(name="x", kind="udp", host="127.0.0.1", port=1), protocols()["bacnet"].framing, guard)
+    with pytest.raises(KitError, match="rewrites nothing at those"):
+        new_tap(Endpoint(name="x", kind="udp", host="127.0.0.1", port=1), None, guard, lambda frame: frame)
 
 
 # -- S7 -------------------------------------------------------------------------------------------------------------------
@@ -344,6 +348,159 @@ async def test_what_may_change_a_controller_never_passes(kind: str) -> None:
     assert await reached(gate(is_open=True, field=S7), *sent, key="s7", first=CONNECT) == S7_READS["read"]
     mutant = replace(S7, harmless=lambda frame: frame == S7_NEVER[kind] or S7.harmless(frame))
     assert await reached(gate(is_open=False, field=mutant), *sent, key="s7", first=CONNECT) == b"".join(sent)
+
+
+# -- BACnet ---------------------------------------------------------------------------------------------------------------
+
+
+def bvll(npdu: str, function: int = 0x0A, kind: int = 0x81) -> bytes:
+    data = bytes.fromhex(npdu)
+    return struct.pack(">BBH", kind, function, 4 + len(data)) + data
+
+
+def confirmed(service: int, data: str) -> bytes:
+    return bvll(f"0104 00 05 01 {service:02x} {data}")
+
+
+_PROPERTY = "0c 00000001 19 55"
+BN_READ, BN_WRITE = f"00 05 01 0c {_PROPERTY}", f"00 05 02 0f {_PROPERTY} 3e 44 41200000 3f"
+BN_READS = {
+    "a property": bvll(f"0104 {BN_READ}"),
+    "an element of an urgent one": bvll("0107 00 05 01 0c 0c 02003039 19 4c 29 00"),
+    "one that may be answered in segments": bvll(f"0104 02 75 01 0c {_PROPERTY}"),
+    "several properties": confirmed(14, "0c 00000001 1e 09 55 09 4d 1f 0c 00400001 1e 09 08 1f"),
+    "a subscription for an hour": confirmed(5, "09 01 1c 00000001 29 00 3a 0e10"),
+    "the end of a subscription": confirmed(5, "09 01 1c 00000001"),
+    "Who-Is": bvll("0100 10 08"),
+    "Who-Is of one": bvll("0100 10 08 0a 3039 1a 3039"),
+    "Who-Has by its name": bvll("0100 10 07 3d 04 00 616263"),
+    "Who-Has by its identifier": bvll("0100 10 07 0a 3039 1a 3039 2c 00000001"),
+    "the next segments, please": bvll("0100 40 01 00 04"),
+    "that segment again": bvll("0100 42 01 00 04"),
+    "the end of an exchange": bvll("0100 70 01 00"),
+}
+BN_NEVER = {
+    **{f"service {number}": confirmed(number, _PROPERTY) for number in range(35) if number not in (12, 14)},
+    "a subscription for ever": confirmed(5, "09 01 1c 00000001 29 00 39 00"),
+    "a longer subscription": confirmed(5, "09 01 1c 00000001 29 00 3a 0e11"),
+    "a subscription to be confirmed": confirmed(5, "09 01 1c 00000001 29 01 39 3c"),
+    "a subscription that says nothing of its end": confirmed(5, "09 01 1c 00000001 29 00"),
+    "a subscription and more": confirmed(5, "09 01 1c 00000001 29 00 39 3c 49 00"),
+    "a subscription of another shape": confirmed(5, "09 01 1c 00000001 2e 39 3c 2f"),
+    "a write": bvll(f"0104 {BN_WRITE}"),
+    "several writes": confirmed(16, "0c 00000001 1e 09 55 2e 44 41200000 2f 1f"),
+    **{f"unconfirmed service {number}": bvll(f"0100 10 {number:02x}") for number in range(16) if number != 8},
+    "I-Am": bvll("0100 10 00 c4 02003039 22 05c4 91 03 21 0f"),
+    "I-Have": bvll("0100 10 01 c4 02003039 c4 00000001 75 02 00 61"),
+    "a read and more": bvll(f"0104 {BN_READ} 39 55"),
+    "a read and a write": bvll(f"0104 {BN_READ} {BN_WRITE}"),
+    "a message behind a read": bvll(f"0104 {BN_READ}") + bvll(f"0104 {BN_WRITE}"),
+    "several reads and more": confirmed(14, "0c 00000001 1e 09 55 1f 2e 44 41200000 2f"),
+    "a read of nothing": confirmed(14, ""),
+    "a Who-Is with one bound": bvll("0100 10 08 0a 3039"),
+    "a Who-Is and more": bvll("0100 10 08 0a 3039 1a 3039 0a 3039"),
+    "a Who-Has and more": bvll("0100 10 07 2c 00000001 2c 00000001"),
+    "a segment of a read": bvll(f"0104 08 05 01 00 04 0c {_PROPERTY}"),
+    "a segment of a write": bvll(f"0104 0c 05 01 00 04 0f {_PROPERTY}"),
+    "a segment of a subscription": bvll("0104 08 05 01 00 04 05 09 01 1c 00000001"),
+    "a reserved bit of a request": bvll(f"0104 01 05 01 0c {_PROPERTY}"),
+    "a reserved bit of a Who-Is": bvll("0100 11 08"),
+    "a segment of an answer": bvll("0100 38 01 00 04 0c 00"),
+    **{f"an answer {first}": bvll(f"0100 {first} 01 0f 00") for first in ("20", "30", "41", "43", "50", "60", "71")},
+    "a device's end of an exchange": bvll("0100 71 01 00"),
+    "an acknowledgement and more": bvll("0100 40 01 00 04 00"),
+    "an end and more": bvll("0100 70 01 00 00"),
+    **{f"the PDU type {kind}": bvll(f"0100 {kind:x}0 01 00 04") for kind in range(8, 16)},
+    **{f"function {number} of the link": bvll(f"0104 {BN_READ}", number) for number in range(16) if number != 10},
+    "a Who-Is to everybody": bvll("0100 10 08", 0x0B),
+    "a Who-Is to all networks": bvll("0120 ffff 00 ff 10 08"),
+    "a write to all networks": bvll(f"0124 ffff 00 ff {BN_WRITE}"),
+    "a read of another network": bvll(f"0124 0005 01 07 ff {BN_READ}"),
+    "a read from another network": bvll(f"010c 0005 01 07 {BN_READ}"),
+    "a forwarded read": bvll(f"7f000001 bac0 0104 {BN_READ}", 0x04),
+    "a foreign device": bvll("0258", 0x05),
+    "the table of broadcasts": bvll("", 0x02),
+    "another table of broadcasts": bvll("7f000001 bac0 ffffffff", 0x01),
+    "a routing table": bvll("0180 06 00"),
+    "a vendor's message of the network": bvll("0184 80 0005 00"),
+    "a reserved bit of the network": bvll(f"0144 {BN_READ}"),
+    "another reserved bit of the network": bvll(f"0114 {BN_READ}"),
+    "another version of the network": bvll(f"0204 {BN_READ}"),
+    "BACnet/IPv6": bvll(f"0104 {BN_READ}", kind=0x82),
+    "a length that is wrong": BN_READS["a property"][:3] + b"\x05" + BN_READS["a property"][4:],
+    "nothing": b"",
+    "half a head": b"\x81\x0a",
+}
+BN_UNSEEN = {
+    "looks for devices": {"a Who-Is to everybody", "a Who-Is to all networks", "a reserved bit of a Who-Is"},
+    "subscribes to values": {kind for kind in BN_NEVER if "subscription" in kind}
+    | {"service 5", "service 28", "service 30"},
+    "several segments": {"a segment of a read"},
+    "foreign device": {"a foreign device", "function 5 of the link"},
+}
+"""What an honest adapter may send that does not pass: it is not judged."""
+
+
+async def reached_device(gate: Callable[[bytes], bool], *sent: bytes) -> list[bytes]:
+    """Return the datagrams that reach a stand-in behind a guarded tap, of a client that sends these and one that passes."""
+    last, loop = BN_READS["the end of an exchange"], asyncio.get_running_loop()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device, socket.socket(type=socket.SOCK_DGRAM) as client:
+        device.bind(("127.0.0.1", 0))
+        device.setblocking(False)
+        tap = DatagramTap(*device.getsockname(), framing=protocols()["bacnet"].framing, gate=gate)
+        await tap.start()
+        try:
+            for data in (*sent, last):
+                client.sendto(data, (tap.host, tap.port))
+                # The tap takes one at a time, and its socket holds some hundred.
+                await asyncio.sleep(0)
+            arrived = [await asyncio.wait_for(loop.sock_recv(device, 65535), 60)]
+            while arrived[-1] != last:
+                arrived.append(await asyncio.wait_for(loop.sock_recv(device, 65535), 60))
+            seen = [(bytes.fromhex(entry["bytes"]), entry.get("fault")) for entry in tap.journal.since(0)]
+            assert [data for data, _ in seen] == [*sent, last]
+            assert [data for data, fault in seen if fault != "withheld"] == arrived
+        finally:
+            await tap.aclose()
+    return arrived[:-1]
+
+
+@asynchronous
+@pytest.mark.parametrize("field", [BACNET, UNHEARD])
+async def test_what_reads_passes_to_a_bacnet_device(field: Field) -> None:
+    guard = gate(is_open=True, field=field)
+    sent = [data for kind, data in BN_READS.items() if kind != "the end of an exchange"]
+    looks = [data for kind, data in BN_READS.items() if kind.startswith("Who")]
+    passing = [data for data in sent if field is BACNET or data not in looks]
+    assert await reached_device(guard, *sent) == passing
+    assert (guard.unseen is None) == (field is BACNET)
+
+
+@asynchronous
+async def test_a_part_of_what_reads_passes_where_it_is_whole_by_itself() -> None:
+    cut: list[bytes] = []
+    for data in BN_READS.values():
+        parts = [data[:end] for end in range(4, len(data))]
+        cut += [*parts, *(part[:2] + len(part).to_bytes(2) + part[4:] for part in parts)]
+    whole = [
+        bvll("0107 00 05 01 0c 0c 02003039 19 4c"),
+        confirmed(14, "0c 00000001 1e 09 55 09 4d 1f"),
+        BN_READS["the end of a subscription"],
+        bvll("0100 10 08"),
+    ]
+    assert await reached_device(gate(is_open=True, field=BACNET), *cut) == whole
+
+
+@asynchronous
+@pytest.mark.parametrize("kind", BN_NEVER)
+async def test_what_may_change_a_bacnet_device_never_passes(kind: str) -> None:
+    sent, guard = BN_NEVER[kind], gate(is_open=True, field=BACNET)
+    assert await reached_device(guard, sent) == []
+    assert [words for words in BN_UNSEEN if words in (guard.unseen or "")] == [
+        words for words, kinds in BN_UNSEEN.items() if kind in kinds
+    ]
+    mutant = replace(BACNET, harmless=lambda frame: frame == sent or BACNET.harmless(frame))
+    assert await reached_device(gate(is_open=False, field=mutant), sent) == [sent]
 
 
 # -- OPC UA ---------------------------------------------------------------------------------------------------------------

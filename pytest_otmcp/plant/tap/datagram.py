@@ -16,7 +16,7 @@ from ...protocols.conversation import Direction
 from ...protocols.protocol import Framing
 from .faults import STREAM_ACTIONS, Action, FaultPlan, FaultRule
 from .frame_queue import FrameQueue
-from .medium import Medium, MediumOwner
+from .medium import WITHHELD, Gate, Medium, MediumOwner
 from .peer import sender_of
 
 __all__ = ["DatagramTap"]
@@ -37,10 +37,13 @@ class DatagramTap(MediumOwner):
     Args:
         target_host, target_port: the device.
         framing: how to decode what passes; its ``frame_length`` is not used.
+        gate: see :class:`~.medium.Medium`.
     """
 
-    def __init__(self, target_host: str, target_port: int, *, framing: Framing | None = None) -> None:
-        super().__init__(framing)
+    def __init__(
+        self, target_host: str, target_port: int, *, framing: Framing | None = None, gate: Gate | None = None
+    ) -> None:
+        super().__init__(framing, gate)
         self.host = "127.0.0.1"
         self._target: _Address = (target_host, target_port)
         self._family: int = socket.AF_INET
@@ -174,8 +177,12 @@ class _Client:
         self._queues = {direction: FrameQueue(write, on_connection) for direction, write in self._write.items()}
 
     def take(self, direction: Direction, data: bytes) -> None:
-        """Record a datagram and hand it on as the fault plan says."""
+        """Record a datagram and hand it on as the fault plan says, one to the device only where the gate lets it through."""
         if self.is_black_hole:
+            return
+        gate = self._medium.gate
+        if direction == "in" and gate is not None and not gate(data):
+            self._medium.journal.frame(self._number, direction, data, WITHHELD)
             return
         queue = self._queues[direction]
         if self._medium.plan.empty and queue.idle:

@@ -13,13 +13,10 @@ from ...protocols.conversation import Direction
 from ...wire.framing import Framer
 from .faults import Action, FaultRule
 from .frame_queue import FrameQueue
-from .medium import Medium
+from .medium import WITHHELD, Medium
 
 __all__ = ["Lane", "reset_connection"]
 
-
-_WITHHELD = "withheld"
-"""What the journal says of a frame that the gate has not let through."""
 _NOTHING_OF_IT = FaultRule(action=Action.DROP)
 
 
@@ -192,7 +189,7 @@ class Lane:
             passes = gate(frame)
             rule = self._medium.plan.for_frame(self._connection, self._direction) if passes else _NOTHING_OF_IT
             fault = None if rule is None else rule.action.value
-            self._medium.journal.frame(self._connection, self._direction, frame, fault if passes else _WITHHELD)
+            self._medium.journal.frame(self._connection, self._direction, frame, fault if passes else WITHHELD)
             self._queue.put(rule, frame)
         self._queue.run()
         if self._check_stream():

@@ -11,7 +11,10 @@ from ...protocols.protocol import Framing
 from ..journal import DeviceJournal
 from .faults import Action, FaultPlan
 
-__all__ = ["Gate", "Medium", "MediumOwner", "NewSocket", "Rewrite"]
+__all__ = ["WITHHELD", "Gate", "Medium", "MediumOwner", "NewSocket", "Rewrite"]
+
+WITHHELD = "withheld"
+"""What the journal says of a frame that the gate has not let through."""
 
 Gate = Callable[[bytes], bool]
 """Tells of a whole frame to the device whether it may pass."""

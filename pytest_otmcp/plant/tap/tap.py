@@ -88,10 +88,10 @@ def new_tap(target: Endpoint, framing: Framing | None, gate: Gate | None = None,
     match target.kind:
         case "tcp":
             return StreamTap(target.host, target.port, framing=framing, gate=gate, rewrite=rewrite)
-        case "udp" if gate is not None:
-            raise KitError(f"the endpoint {target.name!r} is a UDP port, and the kit's tap guards none of those")
+        case "udp" if rewrite is not None:
+            raise KitError(f"the endpoint {target.name!r} is a UDP port, and the kit's tap rewrites nothing at those")
         case "udp":
-            return DatagramTap(target.host, target.port, framing=framing)
+            return DatagramTap(target.host, target.port, framing=framing, gate=gate)
         case "pty" | "cable":
             kind = "a pseudo terminal" if target.kind == "pty" else "a cable"
             raise KitError(f"the endpoint {target.name!r} is {kind}, and the kit has no tap for those")

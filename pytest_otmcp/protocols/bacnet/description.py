@@ -9,6 +9,8 @@ from ..session_oracle import Exchanges, StateChanges
 from .decoder import BacnetConversation
 from .entries import carried_out, changes, describe, title
 from .exercise import EXERCISE
+from .external import EXTERNAL
+from .field import FIELD
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
 from .proof import PROOF
@@ -42,4 +44,6 @@ PROTOCOL = OtProtocol(
     proof=PROOF,
     exercise=EXERCISE,
     delayed=({}, {"discovery": True}),
+    external=EXTERNAL,
+    real=FIELD,
 )

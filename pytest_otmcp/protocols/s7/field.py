@@ -125,11 +125,8 @@ def _sent(entries: Entries) -> list[int]:
 
 FIELD = Field(
     harmless=_harmless,
-    written=lambda frame: None,
     reads=_reads,
     beyond=_beyond,
-    write=lambda point, value: None,
     was_read=_was_read,
-    was_written=lambda entries, asked: [],
     sent=_sent,
 )

@@ -169,9 +169,10 @@ def head_of(apdu: bytes) -> Apdu:
         raise MalformedError("it ends inside the head of its APDU") from None
 
 
-def unicast(apdu: bytes, source: bytes = b"") -> bytes:
-    """Return the datagram of an answer; ``source`` is that of the request, see :class:`Frame`."""
-    npdu = b"\1\0" if not source else b"\1\x20" + source + b"\xff"
+def unicast(apdu: bytes, source: bytes = b"", *, expects_reply: bool = False) -> bytes:
+    """Return the datagram of an answer or a request; ``source`` is that of the request which is answered, see :class:`Frame`."""
+    control = 4 * expects_reply
+    npdu = bytes([1, control]) if not source else bytes([1, control | 0x20]) + source + b"\xff"
     length = 4 + len(npdu) + len(apdu)
     return bytes([_BACNET_IP, _UNICAST]) + length.to_bytes(2) + npdu + apdu
 

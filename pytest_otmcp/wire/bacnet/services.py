@@ -267,10 +267,14 @@ def who_has(data: bytes) -> dict[str, Any]:
     except Rejected:
         raise MalformedError("a Who-Has has two bounds or none") from None
     if tags.is_next(2):
-        return {**found, "object": value_of("object-identifier", tags.next().content).value}
-    if tags.is_next(3):
-        return {**found, "name": value_of("character-string", tags.next().content).value}
-    raise MalformedError("a Who-Has asks for an object")
+        found["object"] = value_of("object-identifier", tags.next().content).value
+    elif tags.is_next(3):
+        found["name"] = value_of("character-string", tags.next().content).value
+    else:
+        raise MalformedError("a Who-Has asks for an object")
+    if not tags.at_end:
+        raise MalformedError("a Who-Has asks for one object")
+    return found
 
 
 # -- answers ----------------------------------------------------------------------------------------------------
