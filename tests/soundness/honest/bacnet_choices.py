@@ -367,7 +367,7 @@ def tells_what_is_in_effect(server: AdapterServer) -> None:
             "object_instance": asked.object_instance,
             "property_id": asked.property_id,
             "value": asked.value,
-            "present_value": _shown(asked, found)["value"],
+            "present_value": _shown(call, "/data/present_value", asked, found)["value"],
             "priority": None,
             "winning_priority": None,
         }
