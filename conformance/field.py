@@ -248,7 +248,12 @@ async def cut_off_and_back(run: Repetition, at: Rig) -> None:
         run.succeeds(await _call(at, one))
     await at.stop_device()
     for one in [*reads.values()] * 2:
-        run.fails(await _call(at, one, *CONNECTION_FAULTS), *CONNECTION_FAULTS, requirement="REC-002", code_requirement="ERR-005")
+        run.fails(
+            await _call(at, one, *CONNECTION_FAULTS),
+            *CONNECTION_FAULTS,
+            requirement="REC-002",
+            code_requirement="ERR-005",
+        )
     await at.start_device()
     first = next(iter(reads.values()))
     back = (await at.call_until_success(first.operation, window_s=at.subject.recovery_s, **first.inputs))[-1]

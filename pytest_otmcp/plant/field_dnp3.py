@@ -14,7 +14,8 @@ from urllib.parse import urlsplit
 
 from ..protocols.dnp3.entries import GROUPS
 from ..protocols.dnp3.external import EXTERNAL
-from ..protocols.dnp3.field import KINDS, points as named
+from ..protocols.dnp3.field import KINDS
+from ..protocols.dnp3.field import points as named
 from ..protocols.field import Consent
 from ..wire.dnp3.application import READ, RESPONSE, response_fields
 from ..wire.dnp3.link import UNCONFIRMED_USER_DATA, LinkFrame, Reassembly, link_length, segments
