@@ -30,7 +30,7 @@ _USER_DATA = frozenset({0xC4, 0xD3, 0xF3})
 _LAST_ADDRESS = 0xFFEF
 _WHOLE = 0xC0
 """Transport and application header of what is first and final and asks for no confirmation, without its sequence number."""
-_STATIC = frozenset({1, 3, 10, 20, 21, 30, 31, 34, 40, 50, 101, 102, 110})
+_STATIC = frozenset({0, 1, 3, 10, 20, 21, 30, 31, 34, 40, 50, 101, 102, 110})
 _CLASS_0 = (60, 1)
 _APART, _BLOCK = 3, 4
 
