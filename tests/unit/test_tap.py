@@ -450,7 +450,10 @@ async def test_a_client_that_ends_meanwhile_is_not_connected_again() -> None:
 class Staying(Echo):
     """Keeps its side open when the other one has ended."""
 
+    kept: asyncio.Transport
+
     def eof_received(self) -> bool:
+        Staying.kept = self.transport
         return True
 
 
@@ -461,5 +464,6 @@ async def test_a_device_that_does_not_end_its_side_is_left_by_a_reset() -> None:
         async with tap.aside():
             (link,) = tap._links
             assert link.device.transport is None
+            Staying.kept.abort()
         writer.write(READ)
         assert await soon(reader.readexactly(12)) == READ
