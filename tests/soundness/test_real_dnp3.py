@@ -15,10 +15,12 @@ from typing import Any
 
 import pytest
 
+from pytest_otmcp.core.errors import NoBindingError
 from pytest_otmcp.errors import UsageError
 from pytest_otmcp.plant.field_dnp3 import Dnp3FieldDevice
 from pytest_otmcp.session.free_port import free_port
 from pytest_otmcp.session.loop import LoopThread
+from pytest_otmcp.wire.dnp3.application import DISABLE_UNSOLICITED
 
 from .conftest import HERE, failing, words
 from .test_real_devices import Judge, consent_to, judge, launched, statuses
@@ -98,4 +100,22 @@ def test_outstation_and_master_are_those_of_the_url(loop: LoopThread) -> None:
         ):
             with pytest.raises(UsageError, match=problem):
                 launched(loop, url + place, given, key="dnp3")
+        assert ended().keys() == {"READ"}
+
+
+def test_a_master_of_another_author_that_gets_no_further_is_no_liar(loop: LoopThread) -> None:
+    with serving() as (url, ended):
+        device = Dnp3FieldDevice(url)
+        loop.run(device.launch())
+        master = [sys.executable, str(PROGRAM.parents[1] / "mocks" / "opendnp3_master.py"), str(device.port)]
+        process = subprocess.Popen(master, stderr=subprocess.DEVNULL)
+        try:
+            (asked,) = loop.run(device.wait(0, {"kind": "request"}, timeout_s=60))
+            assert (asked["function"], asked["fault"]) == (DISABLE_UNSOLICITED, "withheld")  # type: ignore[typeddict-item]
+            with pytest.raises(NoBindingError, match="switches unsolicited responses"):
+                device.excuse()
+        finally:
+            process.kill()
+            process.wait()
+            loop.run(device.close())
         assert ended().keys() == {"READ"}

@@ -7,7 +7,7 @@ from ..external import DEVICE, ExternalDevice
 __all__ = ["EXTERNAL"]
 
 _LAST_ADDRESS = 0xFFEF
-"""Addresses behind it are reserved, or those of every outstation (IEEE 1815, clause 9.2.4.1.3)."""
+"""Addresses behind it are reserved, or those of every outstation (IEEE 1815, clause 9)."""
 
 
 def _is_place(text: str) -> bool:

@@ -24,7 +24,7 @@ KINDS: Mapping[str, str] = {"read_analog": "analog_input", "read_binary": "binar
 """Operations to the kinds of points that they read; numbers first, which tell more than bits."""
 
 _LINK_ALONE = frozenset({0xC0, 0xC9, 0xD2, 0xF2, 0x80, 0x81, 0x8B, 0x8F})
-"""Control octets of a master's frames without user data (clause 9.2.4.1.2): reset, status and test of the link; answers to such frames."""
+"""Control octets of a master's frames without user data (clause 9): reset, status and test of the link; answers to such frames."""
 _USER_DATA = frozenset({0xC4, 0xD3, 0xF3})
 """Those of unconfirmed and confirmed user data. An outstation that finds another octet invalid may look for a frame within this one."""
 _LAST_ADDRESS = 0xFFEF
