@@ -462,7 +462,8 @@ async def test_what_is_no_link_frame_ends_the_connection_to_an_outstation(kind: 
 
 
 def test_a_frame_and_another_one_are_no_frame() -> None:
-    for frames in (DNP3_READ + DNP3_READ, DNP3_READ + DNP3_NEVER["function 5"], DNP3_READ[:-1]):
+    cut = link(bytes(3), control=0xC9)[:10]
+    for frames in (DNP3_READ + DNP3_READ, DNP3_READ + DNP3_NEVER["function 5"], DNP3_READ[:-1], cut):
         assert not gate(is_open=True, field=DNP3)(frames)
 
 
