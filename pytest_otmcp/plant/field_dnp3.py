@@ -27,7 +27,6 @@ from .tap.stream import StreamTap
 
 __all__ = ["Dnp3Client", "Dnp3FieldDevice"]
 
-_OUTSTATION, _MASTER = 10, 1
 _RANGES = ((0, 15), (0, 3), (1, 16), (1, 4))
 _FAR = (65535, 9999)
 """Indexes that most outstations do not have."""
@@ -39,7 +38,7 @@ _NOT_THERE = 0x0600
 """Internal indications for unknown objects and for indexes that are not there (clause 4.5)."""
 _PATIENCE_S = 10.0
 
-Answer = dict[str, Any]
+Answer = Mapping[str, Any]
 Read = Callable[[str, int, int, int], Awaitable[Answer]]
 
 
@@ -66,7 +65,7 @@ class Dnp3Client:
     elsewhere = "/10/1, outstation and master"
     library: str | None = None
 
-    def __init__(self, host: str, port: int, outstation: int = _OUTSTATION, master: int = _MASTER) -> None:
+    def __init__(self, host: str, port: int, outstation: int = 10, master: int = 1) -> None:
         self._address = (host, port)
         self._outstation = outstation
         self._master = master

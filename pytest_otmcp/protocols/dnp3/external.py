@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from ..external import DEVICE, ExternalDevice
 
-__all__ = ["EXTERNAL"]
+__all__ = ["EXTERNAL", "LAST_ADDRESS"]
 
-_LAST_ADDRESS = 0xFFEF
+LAST_ADDRESS = 0xFFEF
 """Addresses behind it are reserved, or those of every outstation (IEEE 1815, clause 9)."""
 
 
 def _is_place(text: str) -> bool:
     addresses = text.split("/")
-    return len(addresses) <= 2 and all(one.isdecimal() and int(one) <= _LAST_ADDRESS for one in addresses)
+    return len(addresses) <= 2 and all(one.isdecimal() and int(one) <= LAST_ADDRESS for one in addresses)
 
 
 EXTERNAL = ExternalDevice(

@@ -16,6 +16,7 @@ from ..exercise import Asked
 from ..field import Field
 from ..journal import Entries, Image
 from .entries import GROUPS, as_dnp3, objects
+from .external import LAST_ADDRESS
 from .oracle import read_from_device
 
 __all__ = ["FIELD", "KINDS", "points"]
@@ -27,7 +28,6 @@ _LINK_ALONE = frozenset({0xC0, 0xC9, 0xD2, 0xF2, 0x80, 0x81, 0x8B, 0x8F})
 """Control octets of a master's frames without user data (clause 9): reset, status and test of the link; answers to such frames."""
 _USER_DATA = frozenset({0xC4, 0xD3, 0xF3})
 """Those of unconfirmed and confirmed user data. An outstation that finds another octet invalid may look for a frame within this one."""
-_LAST_ADDRESS = 0xFFEF
 _WHOLE = 0xC0
 """Transport and application header of what is first and final and asks for no confirmation, without its sequence number."""
 _STATIC = frozenset({0, 1, 3, 10, 20, 21, 30, 31, 34, 40, 50, 101, 102, 110})
@@ -49,7 +49,7 @@ def _harmless(frame: bytes) -> bool:
     if link_length(frame) != len(frame):
         return False
     link, control = LinkFrame.parse(frame), frame[3]
-    if link.destination > _LAST_ADDRESS:
+    if link.destination > LAST_ADDRESS:
         return False
     if not link.data:
         return control in _LINK_ALONE
@@ -59,11 +59,11 @@ def _harmless(frame: bytes) -> bool:
     request = Request.parse(fragment)
     if request.function == CONFIRM:
         return len(fragment) == 2
-    return request.function == READ and _is_read(request) and not _asks_for_events(request)
+    return _is_read(request) and not _asks_for_events(request)
 
 
 def _is_read(request: Request) -> bool:
-    return bool(request.headers) and request.problem is None
+    return request.function == READ and bool(request.headers) and request.problem is None
 
 
 def _asks_for_events(request: Request) -> bool:
@@ -77,14 +77,9 @@ def _unanswered(frame: bytes) -> str | None:
     request = Request.parse(link.data[1:])
     if request.function == CONFIRM:
         return "the outstation reports events unasked and forgets them once they are confirmed, so the tap withholds the confirmation"
-    if request.function == READ:
-        asks = _is_read(request) and _asks_for_events(request)
-        return (
-            "the adapter asks for events, which the outstation forgets once they are confirmed, so the tap withholds the request"
-            if asks
-            else None
-        )
-    if request.state_changing:
+    if _is_read(request) and _asks_for_events(request):
+        return "the adapter asks for events, which the outstation forgets once they are confirmed, so the tap withholds the request"
+    if request.function == READ or request.state_changing:
         return None
     return "the adapter writes the clock or the restart indication, or switches unsolicited responses, and the tap withholds the request"
 
