@@ -27,7 +27,7 @@ from .tapped_device import TappedDevice
 
 __all__ = ["FieldDevice", "Gate", "ReadingClient", "SecondClient", "UnreachableError", "UnrestoredError", "connected"]
 
-_ANSWER_TIMEOUT_S = 5.0
+_ANSWER_TIMEOUT_S, _CLOSING_S = 5.0, 1.0
 _COMMAND_S, _GONE_S, _BACK_S, _LOOK_S = 60.0, 30.0, 300.0, 0.2
 """A controller may take minutes to come back."""
 _AWAY, _BACK = 5, 3
@@ -42,9 +42,12 @@ class UnreachableError(Exception):
 
 @asynccontextmanager
 async def connected(
-    address: tuple[str, int], frame_length: FrameLength, spoken: str
+    address: tuple[str, int], frame_length: FrameLength, spoken: str, *, alone: bool = False
 ) -> AsyncIterator[Callable[[bytes], Awaitable[bytes]]]:
     """Connect to a device; give a function that sends a frame and returns the next one of the device.
+
+    Args:
+        alone: the device may take one connection at a time, so this one has ended only when the device has closed it too.
 
     Raises:
         UnreachableError: there is no connection, or no frame of the protocol ``spoken``.
@@ -67,6 +70,12 @@ async def connected(
 
         try:
             yield exchange
+            if alone:
+                writer.write_eof()
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(_CLOSING_S):
+                        while await reader.read(4096):
+                            pass
         finally:
             writer.close()
     except TimeoutError:
@@ -152,6 +161,7 @@ class Gate:
         is_open: what the consent allows may pass now.
         passed: the points that frames have written which passed, with their values.
         unseen: why nobody can see what a frame asks for that did not pass, a clause; None while there was no such frame.
+        unanswered: for each frame that did not pass why an honest adapter may fail without an answer to it, or None.
     """
 
     def __init__(self, field: Field, consent: Consent | None) -> None:
@@ -160,6 +170,7 @@ class Gate:
         self.is_open = False
         self.passed: dict[str, list[object]] = {}
         self.unseen: str | None = None
+        self.unanswered: set[str | None] = set()
 
     def __call__(self, frame: bytes) -> bool:
         """Tell whether a whole frame may reach the device."""
@@ -169,6 +180,7 @@ class Gate:
             written = self.field.written(frame) if self.is_open and self._consent is not None else None
             if self._consent is None or written is None or not self._consent.allows(written):
                 self.unseen = self.field.unseen(frame) or self.unseen
+                self.unanswered.add(self.field.unanswered(frame))
                 return False
         except Exception:  # what cannot be read may do anything
             return False
@@ -275,6 +287,15 @@ class FieldDevice(TappedDevice):
         """
         if self.gate.unseen is not None:
             raise NoBindingError(f"nothing is judged at the {self.noun}: {self.gate.unseen}")
+
+    def excuse(self) -> None:
+        """Make sure that a failure which is not due is the adapter's own.
+
+        Raises:
+            NoBindingError: an honest adapter may fail as well, as the tap withholds what it needs, and has withheld nothing else.
+        """
+        if self.gate.unanswered and None not in self.gate.unanswered:
+            raise NoBindingError(f"nothing is judged at the {self.noun}: {min(map(str, self.gate.unanswered))}")
 
     async def poke(self, **params: object) -> None:
         """Let pass what the consent allows (``writes=True``), or nothing that writes from now on, see :meth:`reset`.

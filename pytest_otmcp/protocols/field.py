@@ -117,6 +117,8 @@ class Field:
         write: makes the call that writes a value to a point; None where no operation does.
         was_written: expects that one request that changes the plant was seen: what a call writes.
         unseen: says of a frame that may not pass, in a clause, why nobody can see what it asks for; None where it can be seen.
+        unanswered: says of a frame that may not pass, in a clause, why an honest adapter may get no further without an answer to it; None
+            where it has no business to send it.
         led: returns a frame of the device with ``host:port`` of the tap in the place of the addresses by which it tells clients where
             it is, and None for one where it cannot take their place; None where devices tell none.
     """
@@ -130,6 +132,7 @@ class Field:
     write: Callable[[str, object], Asked | None] = lambda point, value: None
     was_written: Callable[[Entries, Asked], list[Finding]] = lambda entries, asked: []
     unseen: Callable[[bytes], str | None] = lambda frame: None
+    unanswered: Callable[[bytes], str | None] = lambda frame: None
     led: Callable[[bytes, str], bytes | None] | None = None
 
 

@@ -605,10 +605,20 @@ class AdapterUnderTest:
             await self.close()
             if isinstance(self.device, FieldDevice):
                 self.device.see()
+                self.device.excuse()
             # Without its device, or at one that refuses it as the kit has told it to, an adapter may have failed to start for that reason.
             well = self.device.running and not self.device.faulty
             self._start_failure = failure if well else None
             raise
+
+    async def excuse(self) -> None:
+        """Make sure that a failure at a real device which is not due is the adapter's own.
+
+        Raises:
+            NoBindingError: it may not be.
+        """
+        if isinstance(self.device, FieldDevice):
+            self.device.excuse()
 
     async def open_garbled(self) -> bool:
         """Start the adapter with a write switch whose value means nothing, and return whether it started.

@@ -44,6 +44,10 @@ class DeviceInRig:
         """Return the values that it really holds."""
         return await self._player.image()
 
+    async def excuse(self) -> None:
+        """See :meth:`pytest_otmcp.plant.field_device.FieldDevice.excuse`."""
+        await self._player.act(lambda adapter: adapter.excuse())
+
     async def poke(self, **params: object) -> None:
         """Set a value."""
         await self._player.act(lambda adapter: adapter.device.poke(**params))

@@ -1,5 +1,8 @@
 """An outstation of opendnp3 as a program, at the port of its argument: it changes a binary input when a line comes, and ends with its stdin.
 
+With the second argument ``measured`` its inputs have values, which are whole numbers and a fraction, and the link addresses are those of the
+arguments after it. In the end it tells the functions that it was asked for, as opendnp3 calls them, and how often.
+
 It is a program of its own because the threads of its C++ library must not outlive a test.
 """
 
@@ -7,10 +10,14 @@ It is a program of its own because the threads of its C++ library must not outli
 
 from __future__ import annotations
 
+import json
+import re
 import sys
+from collections import Counter
 from typing import Any
 
 from opendnp3 import (
+    Analog,
     AnalogOutputStatus,
     Binary,
     BinaryOutputStatus,
@@ -22,6 +29,7 @@ from opendnp3 import (
     EventBufferConfig,
     Flags,
     ICommandHandler,
+    ILogHandler,
     IOutstationApplication,
     IPEndpoint,
     LogLevels,
@@ -29,10 +37,23 @@ from opendnp3 import (
     OutstationStackConfig,
     ServerAcceptMode,
     UpdateBuilder,
+    flags,
 )
 
 MISSING = 4
 """From this index on there are no outputs."""
+
+
+class Asked(ILogHandler):
+    """Counts the functions of the requests that arrive."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.functions: Counter[str] = Counter()
+
+    def log(self, module: Any, name: str, level: Any, location: str, message: str) -> None:
+        if found := re.search(r"FUNC: (\w+)", message):
+            self.functions[found[1]] += 1
 
 
 class Commands(ICommandHandler):
@@ -60,18 +81,25 @@ class Commands(ICommandHandler):
         return CommandStatus.SUCCESS
 
 
-def main(port: int) -> None:
-    manager = DNP3Manager(1)
+def main(port: str, measured: str = "", address: str = "10", master: str = "1", mode: str = "CloseExisting") -> None:
+    asked = Asked()
+    manager = DNP3Manager(1, asked)
     channel = manager.AddTCPServer(
-        "kit", LogLevels(0), ServerAcceptMode.CloseExisting, IPEndpoint("127.0.0.1", port), None
+        "kit", LogLevels(flags.APP_HEADER_RX), getattr(ServerAcceptMode, mode), IPEndpoint("127.0.0.1", int(port)), None
     )
     config = OutstationStackConfig(DatabaseConfig(16))
-    config.link.LocalAddr, config.link.RemoteAddr = 10, 1
+    config.link.LocalAddr, config.link.RemoteAddr = int(address), int(master)
     config.outstation.eventBufferConfig = EventBufferConfig.AllTypes(100)
     # They have to live as long as the outstation, which does not keep them.
     commands, application = Commands(), IOutstationApplication()
     outstation = channel.AddOutstation("outstation", commands, application, config)
     outstation.Enable()
+    if measured:
+        builder = UpdateBuilder()
+        for index in range(8):
+            builder.Update(Analog(-1000 + 7 * index + 0.5 * (index == 2), Flags(1)), index)
+            builder.Update(Binary(index % 3 == 0, Flags(1)), index)
+        outstation.Apply(builder.Build())
     print("ready", flush=True)
     for number, _ in enumerate(sys.stdin):
         builder = UpdateBuilder()
@@ -79,7 +107,8 @@ def main(port: int) -> None:
         outstation.Apply(builder.Build())
         print("changed", flush=True)
     manager.Shutdown()
+    print(json.dumps(asked.functions), flush=True)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    main(*sys.argv[1:])

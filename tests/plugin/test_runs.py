@@ -511,12 +511,14 @@ def test_a_narrow_terminal_without_colours_shows_progress_and_no_line_breaks_at_
         ("--otmcp-broker=http://x", "--otmcp-broker: expected mqtt://host:port, found 'http://x'"),
         (
             "--otmcp-device=mqtt=mqtt://x",
-            "real devices are taken for modbus, opcua, s7, bacnet, not for 'mqtt'; use --otmcp-broker",
+            "real devices are taken for modbus, opcua, s7, bacnet, dnp3, not for 'mqtt'; use --otmcp-broker",
         ),
         (
-            "--otmcp-device=dnp3=tcp://x",
-            "--otmcp-device: real devices are taken for modbus, opcua, s7, bacnet, not for 'dnp3'",
+            "--otmcp-device=profinet=tcp://x",
+            "--otmcp-device: real devices are taken for modbus, opcua, s7, bacnet, dnp3, not for 'profinet'",
         ),
+        ("--otmcp-device=dnp3=tcp://x/10/1/1", "--otmcp-device: expected tcp://host:port, found 'tcp://x/10/1/1'"),
+        ("--otmcp-device=dnp3=tcp://x/65520", "--otmcp-device: expected tcp://host:port, found 'tcp://x/65520'"),
         ("--otmcp-device=opcua=opc.tcp://x/UA/Server", "--otmcp-device: expected opc.tcp://host:port, found"),
         ("--otmcp-device=opcua=opc.tcp://x/ns=2;s=a?b", "--otmcp-device: expected opc.tcp://host:port, found"),
         ("--otmcp-device=bacnet=udp://x/12345/1/2", "--otmcp-device: expected udp://host:port, found"),

@@ -101,7 +101,7 @@ async def test_small_pieces_are_sent_at_once_in_both_directions() -> None:
         writer.write(READ)
         await soon(reader.readexactly(12))
         (link,) = tap._links
-        for side in (link.client, link._device):
+        for side in (link.client, link.device):
             assert side.transport is not None
             sock = side.transport.get_extra_info("socket")
             assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
@@ -367,3 +367,103 @@ async def test_bytes_that_are_no_frames_pass_and_are_noted_once() -> None:
     assert [entry["direction"] for entry in malformed] == ["in", "out"]
     assert malformed[0]["reason"] == "the protocol identifier is 57005, it must be 0"
     assert bytes.fromhex(malformed[0]["bytes"]).startswith(garbage)
+
+
+# -- a device that takes one connection at a time --------------------------------------------------------------------------
+
+
+class Single(Echo):
+    """Refuses a second connection."""
+
+    held: Single | None = None
+    count = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        if Single.held is not None:
+            self.transport.abort()
+            return
+        Single.held = self
+        Single.count += 1
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if Single.held is self:
+            Single.held = None
+
+
+@asynccontextmanager
+async def single(kind: type[Echo] = Single) -> AsyncIterator[tuple[int, StreamTap]]:
+    Single.held, Single.count = None, 0
+    server = await asyncio.get_running_loop().create_server(kind, "127.0.0.1", 0)
+    port: int = server.sockets[0].getsockname()[1]
+    tap = StreamTap("127.0.0.1", port, framing=protocols()["modbus"].framing, gate=lambda frame: True)
+    await tap.start()
+    try:
+        yield port, tap
+    finally:
+        await tap.aclose()
+        assert tap.open_connections == 0
+        server.close()
+
+
+async def look(port: int) -> None:
+    """Ask the device itself, and leave when it has ended its side too."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(OTHER)
+    assert await soon(reader.readexactly(12)) == OTHER
+    writer.write_eof()
+    assert await soon(reader.read()) == b""
+    writer.close()
+
+
+async def test_a_client_of_the_tap_notices_nothing_of_another_one_at_the_device() -> None:
+    async with single() as (port, tap), client(tap) as (reader, writer):
+        for number in range(1, 6):
+            writer.write(READ)
+            assert await soon(reader.readexactly(12)) == READ
+            assert Single.count == 2 * number - 1
+            async with tap.aside():
+                # What comes meanwhile waits, and so does another client.
+                writer.write(READ)
+                async with client(tap) as (_, late):
+                    late.write(READ)
+                    await look(port)
+                    late.transport.abort()
+                await soon(tap.journal.wait(0, {"kind": "DISCONNECTED"}, number, 60))
+            assert await soon(reader.readexactly(12)) == READ
+
+
+async def test_a_client_that_ends_meanwhile_is_not_connected_again() -> None:
+    async with single() as (port, tap), client(tap) as (reader, writer):
+        writer.write(READ)
+        await soon(reader.readexactly(12))
+        async with tap.aside():
+            writer.close()
+            await look(port)
+            await soon(tap.journal.wait(0, {"kind": "DISCONNECTED"}, 1, 60))
+        async with client(tap) as (later, asking):
+            asking.write(READ)
+            assert await soon(later.readexactly(12)) == READ
+        assert Single.count == 3
+
+
+class Staying(Echo):
+    """Keeps its side open when the other one has ended."""
+
+    kept: asyncio.Transport
+
+    def eof_received(self) -> bool:
+        Staying.kept = self.transport
+        return True
+
+
+async def test_a_device_that_does_not_end_its_side_is_left_by_a_reset() -> None:
+    async with single(Staying) as (_, tap), client(tap) as (reader, writer):
+        writer.write(READ)
+        await soon(reader.readexactly(12))
+        async with tap.aside():
+            (link,) = tap._links
+            assert link.device.transport is None
+            Staying.kept.abort()
+        writer.write(READ)
+        assert await soon(reader.readexactly(12)) == READ

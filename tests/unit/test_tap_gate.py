@@ -24,6 +24,7 @@ from pytest_otmcp.errors import KitError, UsageError
 from pytest_otmcp.plant.consent import read_consent
 from pytest_otmcp.plant.endpoint import Endpoint
 from pytest_otmcp.plant.field_device import FieldDevice, Gate
+from pytest_otmcp.plant.field_dnp3 import Dnp3FieldDevice
 from pytest_otmcp.plant.field_opcua import OpcUaClient
 from pytest_otmcp.plant.tap.datagram import DatagramTap
 from pytest_otmcp.plant.tap.lane import Lane
@@ -31,11 +32,13 @@ from pytest_otmcp.plant.tap.stream import StreamTap
 from pytest_otmcp.plant.tap.tap import new_tap
 from pytest_otmcp.protocols.bacnet.field import FIELD as BACNET
 from pytest_otmcp.protocols.bacnet.field import UNHEARD
+from pytest_otmcp.protocols.dnp3.field import FIELD as DNP3
 from pytest_otmcp.protocols.field import Consent, Field, Writable
 from pytest_otmcp.protocols.modbus.field import FIELD
 from pytest_otmcp.protocols.opcua.field import FIELD as OPCUA
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.protocols.s7.field import FIELD as S7
+from pytest_otmcp.wire.dnp3.link import crc
 from pytest_otmcp.wire.modbus import frame
 from pytest_otmcp.wire.s7 import JOB, USER_DATA, Pdu, data_frame
 
@@ -501,6 +504,137 @@ async def test_what_may_change_a_bacnet_device_never_passes(kind: str) -> None:
     ]
     mutant = replace(BACNET, harmless=lambda frame: frame == sent or BACNET.harmless(frame))
     assert await reached_device(gate(is_open=False, field=mutant), sent) == [sent]
+
+
+# -- DNP3 -----------------------------------------------------------------------------------------------------------------
+
+
+def link(data: bytes = b"", *, control: int = 0xC4, to: int = 10) -> bytes:
+    head = b"\x05\x64" + struct.pack("<BBHH", 5 + len(data), control, to, 1)
+    blocks = (data[start : start + 16] for start in range(0, len(data), 16))
+    return head + crc(head) + b"".join(block + crc(block) for block in blocks)
+
+
+def ask(request: str, *, transport: int = 0xC0, application: int = 0xC0, **of_link: int) -> bytes:
+    """A frame with a whole request: function and objects."""
+    return link(bytes([transport, application]) + bytes.fromhex(request), **of_link)
+
+
+STATUS = link(control=0xC9)
+DNP3_READ = ask("01 1e0006")
+DNP3_PASSES = {
+    **{f"control {control:02X}": link(control=control) for control in (0xC0, 0xD2, 0xF2, 0x80, 0x81, 0x8B, 0x8F)},
+    **{f"a read of group {group}": ask(f"01 {group:02x}0006") for group in (0, 1, 3, 10, 20, 21, 30, 31, 34, 40, 110)},
+    "class 0": ask("01 3c0106"),
+    "a range": ask("01 010200 0007"),
+    "a long range": ask("01 280001 00010002"),
+    "a number of points": ask("01 1e0507 04"),
+    "a long number of points": ask("01 1e0508 0400"),
+    "points by index": ask("01 1e0117 02 0107"),
+    "points by long index": ask("01 140128 0100 2c01"),
+    "several objects": ask("01 1e0000 0003 010206 3c0106"),
+    "another sequence": ask("01 1e0006", transport=0xFF, application=0xCF),
+    "confirmed user data": ask("01 1e0006", control=0xD3) + ask("01 1e0006", control=0xF3),
+    "the last address": ask("01 1e0006", to=0xFFEF),
+    "a confirmation": ask("00"),
+}
+DNP3_NEVER = {
+    **{f"function {number}": ask(f"{number:02x} 1e0006") for number in (*range(2, 34), 127, 128, 129, 130, 255)},
+    **{f"events of group {group}": ask(f"01 {group:02x}0006") for group in (2, 4, 11, 13, 22, 23, 32, 33, 42, 43, 111)},
+    **{f"events of class {number}": ask(f"01 3c{number + 1:02x}06") for number in range(4) if number},
+    "class 0 and events": ask("01 3c0206 3c0106"),
+    "any class": ask("01 3c0006"),
+    "a file": ask("01 460500 0000"),
+    "the restart indication": ask("02 500100 0707 00"),
+    "the clock": ask("02 320107 01 000000000000"),
+    "unsolicited responses off": ask("15 3c0206 3c0306 3c0406"),
+    **{f"a read of all at {to:04X}": ask("01 1e0006", to=to) for to in (0xFFF0, 0xFFFC, 0xFFFD, 0xFFFE, 0xFFFF)},
+    "a confirmation with objects": ask("00 1e0006"),
+    "a confirmation of what came unasked": ask("00", application=0xD0),
+    "a read of nothing": ask("01"),
+    "a read with half an object": ask("01 1e0000 00"),
+    "a read and more": ask("01 1e0006 00"),
+    "a range from its end": ask("01 1e0000 0700"),
+    "another qualifier": ask("01 1e005b 01"),
+    **{
+        f"the application header {head:02X}": ask("01 1e0006", application=head) for head in (0x40, 0x80, 0, 0xE0, 0xD0)
+    },
+    **{f"the transport header {head:02X}": ask("01 1e0006", transport=head) for head in (0x40, 0x80, 0)},
+    "a first segment with an operation": ask("05 0c0117 01 00", transport=0x40),
+    **{
+        f"a read with the control {control:02X}": ask("01 1e0006", control=control)
+        for control in (0x44, 0x84, 0xD4, 0xE4, 0xC3, 0xE3, 0xC0, 0xC9, 0x8B)
+    },
+    "no user data": link(),
+    "no fragment": link(b"\xc0"),
+    "half a header of a fragment": link(b"\xc0\xc0"),
+    **{f"control {control:02X} alone": link(control=control) for control in (0xC2, 0xD9, 0x4B, 0x40, 0xC1, 0xD3, 0x84)},
+    "a wrong check sum of the header": DNP3_READ[:8] + b"\0\0" + DNP3_READ[10:],
+    "a wrong check sum of the data": DNP3_READ[:-2] + b"\0\0",
+    "a wrong check sum of a later block": ask("01" + " 1e0006" * 9)[:-1] + b"\0",
+}
+DNP3_UNCUT = {
+    "no start": b"\0" + DNP3_READ,
+    "too short a length": b"\x05\x64\x04" + DNP3_READ[3:],
+    "more bytes than the length says": b"\x05\x64\x05" + DNP3_READ[3:],
+}
+UNANSWERED = {
+    "events of class 1": "asks for events",
+    "class 0 and events": "asks for events",
+    "a confirmation of what came unasked": "reports events unasked",
+    "the restart indication": "writes the clock or the restart indication",
+    "the clock": "writes the clock or the restart indication",
+    "unsolicited responses off": "switches unsolicited responses",
+    "a first segment with an operation": "in several segments",
+    "function 3": None,
+    "function 5": None,
+    "function 13": None,
+    "function 2": None,
+    "a read and more": None,
+}
+
+
+@asynchronous
+@pytest.mark.parametrize("kind", DNP3_PASSES)
+async def test_what_reads_passes_to_an_outstation(kind: str) -> None:
+    guard = gate(is_open=True, field=DNP3)
+    assert await reached(guard, DNP3_PASSES[kind], key="dnp3", first=STATUS) == DNP3_PASSES[kind]
+    assert guard.unanswered == set()
+
+
+@asynchronous
+@pytest.mark.parametrize("kind", DNP3_NEVER)
+async def test_what_may_change_an_outstation_never_passes(kind: str) -> None:
+    sent = DNP3_NEVER[kind], DNP3_READ
+    assert await reached(gate(is_open=True, field=DNP3), *sent, key="dnp3", first=STATUS) == DNP3_READ
+    mutant = replace(DNP3, harmless=lambda frame: frame == DNP3_NEVER[kind] or DNP3.harmless(frame))
+    assert await reached(gate(is_open=False, field=mutant), *sent, key="dnp3", first=STATUS) == b"".join(sent)
+
+
+@asynchronous
+@pytest.mark.parametrize("kind", DNP3_UNCUT)
+async def test_what_is_no_link_frame_ends_the_connection_to_an_outstation(kind: str) -> None:
+    guard = gate(is_open=True, field=DNP3)
+    assert DNP3_READ not in await reached(guard, DNP3_UNCUT[kind], DNP3_READ, key="dnp3", first=STATUS)
+
+
+def test_a_frame_and_another_one_are_no_frame() -> None:
+    cut = link(bytes(3), control=0xC9)[:10]
+    for frames in (DNP3_READ + DNP3_READ, DNP3_READ + DNP3_NEVER["function 5"], DNP3_READ[:-1], cut):
+        assert not gate(is_open=True, field=DNP3)(frames)
+
+
+@pytest.mark.parametrize("kind", UNANSWERED)
+def test_a_failure_is_excused_by_what_masters_need_alone(kind: str) -> None:
+    device = Dnp3FieldDevice("tcp://127.0.0.1:1")
+    device.excuse()
+    for sent in (kind, kind, "function 5"):
+        assert not device.gate(DNP3_NEVER[sent])
+        if sent == kind and (told := UNANSWERED[kind]) is not None:
+            with pytest.raises(NoBindingError, match=told):
+                device.excuse()
+        else:
+            device.excuse()
 
 
 # -- OPC UA ---------------------------------------------------------------------------------------------------------------

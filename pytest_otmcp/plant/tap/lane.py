@@ -81,6 +81,11 @@ class Lane:
             else:
                 self._take(data)
 
+    def hold(self) -> None:
+        """Keep in memory what comes, until there is another transport to write to."""
+        self._sink = None
+        self.resume_source()
+
     def pause_source(self) -> None:
         """Stop reading: the sink's buffer is full."""
         if self._source is not None and not self._source.is_closing():

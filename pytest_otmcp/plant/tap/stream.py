@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 
 from ...core.errors import KitError
 from ...core.exhaustion import exhausted
@@ -22,7 +23,7 @@ from .peer import process_of
 
 __all__ = ["StreamTap"]
 
-_CONNECT_TIMEOUT_S = 5.0
+_CONNECT_TIMEOUT_S, _CLOSING_S = 5.0, 1.0
 _DIRECTIONS: tuple[Direction, Direction] = ("in", "out")
 
 
@@ -61,6 +62,7 @@ class StreamTap(MediumOwner):
         self._server: asyncio.Server | None = None
         self._links: set[_Link] = set()
         self._accepted = 0
+        self._is_aside = False
 
     @property
     def port(self) -> int:
@@ -103,6 +105,18 @@ class StreamTap(MediumOwner):
         for link in links:
             await link.ended.wait()
 
+    @asynccontextmanager
+    async def aside(self) -> AsyncIterator[None]:
+        """Leave a device that takes one connection at a time to another client meanwhile; the tap's own clients stay connected to the tap."""
+        self._is_aside = True
+        try:
+            await asyncio.gather(*(link.leave() for link in self._links))
+            yield
+        finally:
+            self._is_aside = False
+            for link in self._links:
+                link.come_back()
+
     def inject(self, *rules: FaultRule) -> None:
         """Replace the fault plan, counting from now; without rules bytes pass untouched again."""
         self._medium.plan = FaultPlan(rules)
@@ -121,6 +135,7 @@ class StreamTap(MediumOwner):
     def _accept(self) -> _Side:
         self._accepted += 1
         link = _Link(self._accepted, self._medium, self._target, self._framing, self._links.discard)
+        link.is_aside = self._is_aside
         self._links.add(link)
         return link.client
 
@@ -138,6 +153,8 @@ class _Link:
     ) -> None:
         self.number = number
         self.ended = asyncio.Event()
+        self.is_aside = False
+        self._left = asyncio.Event()
         self._medium = medium
         self._target = target
         self._forget = forget
@@ -157,7 +174,7 @@ class _Link:
             for direction in _DIRECTIONS
         ]
         self.client = _Side(self, *self._lanes)
-        self._device = _Side(self, *reversed(self._lanes))
+        self.device = _Side(self, *reversed(self._lanes))
 
     def connected(self, side: _Side) -> None:
         """Continue with a side that has got its transport."""
@@ -169,14 +186,41 @@ class _Link:
             self._medium.journal.event(self.number, "in", "CONNECTED")
             if self._medium.plan.for_connection(self.number) is not None:
                 self.reset()
-            else:
-                self._connecting = asyncio.create_task(self._connect(), name=f"otmcp-tap-{self.number}")
+            elif not self.is_aside:
+                self._begin()
+
+    def _begin(self) -> None:
+        self._connecting = asyncio.create_task(self._connect(), name=f"otmcp-tap-{self.number}")
+
+    async def leave(self) -> None:
+        """End the connection to the device, not that of the client, and wait until the device has ended it too."""
+        self.is_aside = True
+        self._left.clear()
+        if self._lanes[0].ended:
+            self.reset()
+        if self._connecting is not None:
+            self._connecting.cancel()
+            await asyncio.wait({self._connecting})
+        self._lanes[0].hold()
+        if (transport := self.device.transport) is not None:
+            transport.write_eof()
+            try:
+                await asyncio.wait_for(self._left.wait(), _CLOSING_S)
+            except TimeoutError:
+                reset_connection(transport)
+                await self._left.wait()
+
+    def come_back(self) -> None:
+        """Connect to the device again, where the client is still there."""
+        self.is_aside = False
+        if self.client.transport is not None and not self._condemned:
+            self._begin()
 
     async def _connect(self) -> None:
         loop = asyncio.get_running_loop()
         try:
             async with asyncio.timeout(_CONNECT_TIMEOUT_S):
-                await loop.create_connection(lambda: self._device, *self._target)
+                await loop.create_connection(lambda: self.device, *self._target)
         except OSError as error:
             if exhausted(error) is not None:
                 loop.call_exception_handler({"message": "the tap cannot connect", "exception": error})
@@ -185,7 +229,11 @@ class _Link:
 
     def lost(self, side: _Side, failure: Exception | None) -> None:
         """Close the other side of a connection that has ended, in the same manner: orderly or by a reset."""
-        other = self._device if side is self.client else self.client
+        if side is self.device and self.is_aside:
+            self._left.set()
+            if self.client.transport is not None:
+                return
+        other = self.device if side is self.client else self.client
         if self._connecting is not None:
             self._connecting.cancel()
         if other.transport is not None:
@@ -203,7 +251,7 @@ class _Link:
     def reset(self) -> None:
         """Reset both sides, also one that has been accepted and has no transport yet."""
         self._condemned = True
-        for side in (self.client, self._device):
+        for side in (self.client, self.device):
             if side.transport is not None:
                 reset_connection(side.transport)
 
@@ -214,7 +262,7 @@ class _Link:
 
     def _finished(self) -> None:
         if all(lane.ended for lane in self._lanes):
-            for side in (self.client, self._device):
+            for side in (self.client, self.device):
                 if side.transport is not None:
                     side.transport.close()
 
@@ -239,6 +287,11 @@ class _Side(asyncio.Protocol):
         self._inbound.feed(data)
 
     def eof_received(self) -> bool:
+        if self._link.is_aside:
+            # A client that ends meanwhile needs no connection to the device any more.
+            if self is self._link.client:
+                self._link.reset()
+            return False
         self._inbound.feed_eof()
         # Half-closed: the other direction goes on.
         return True

@@ -10,6 +10,8 @@ from ..session_oracle import Exchanges, StateChanges
 from .decoder import Dnp3Conversation
 from .entries import carried_out, changes, describe, title
 from .exercise import EXERCISE
+from .external import EXTERNAL
+from .field import FIELD
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
 from .proof import PROOF
@@ -41,5 +43,7 @@ PROTOCOL = OtProtocol(
     session_oracles=(StateChanges, Exchanges),
     proof=PROOF,
     exercise=EXERCISE,
+    external=EXTERNAL,
+    real=FIELD,
     secure=True,
 )
