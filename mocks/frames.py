@@ -81,13 +81,14 @@ class Frames(MessageMedium):
             self._listed = listed
             # sk, references, type, protocol, interface, running, memory, user, inode
             rows = [line.split() for line in listed.splitlines()[1:]]
-            fit = [int(row[8]) for row in rows if int(row[3], 16) in (self._ethertype, _EVERY_PROTOCOL)]
-            # Of several sockets the one that was opened last is taken, unless one is new.
-            inode = next((inode for inode in fit if inode not in self._clients), max(fit, default=0))
-            if inode not in self._clients:
-                self._clients[inode] = next(self._numbers)
-                self._journal.heard_of(self._clients[inode], holder(inode))
-            self._number = self._clients[inode]
+            fit = [int(row[8]) for row in rows if int(row[3], 16) in (self._ethertype, _EVERY_PROTOCOL)] or [0]
+            for inode in fit:
+                if inode not in self._clients:
+                    self._clients[inode] = next(self._numbers)
+                    self._journal.heard_of(self._clients[inode], holder(inode))
+            # Of several sockets the one that was opened last is taken. Each processor numbers its sockets for itself, so the highest
+            # inode may be that of an older one.
+            self._number = max(self._clients[inode] for inode in fit)
         return self._number
 
     def carries(self) -> bool:

@@ -13,6 +13,7 @@ from pytest_otmcp.protocols.ethernetip import oracle
 from pytest_otmcp.protocols.ethernetip.decoder import EthernetIpConversation
 from pytest_otmcp.protocols.ethernetip.entries import carried_out, changes, describe, tag_of, title
 from pytest_otmcp.protocols.ethernetip.trace import facts
+from pytest_otmcp.protocols.journal import UNTOLD
 from pytest_otmcp.wire.ethernetip.frames import frame_length
 from pytest_otmcp.wire.framing import Framer, MalformedError
 
@@ -195,7 +196,7 @@ def test_an_entry_is_described_and_gives_facts() -> None:
     assert describe(journal(WRITE_BY_INSTANCE)[0]) == "write tag class 6B instance 269 type C4 x1=4d000000"
     assert 0x4D in facts(request)["service"]
     assert facts(request)["tag"] == ["Count"]
-    assert "tag" not in facts(journal(WRITE_BY_INSTANCE)[0])
+    assert facts(journal(WRITE_BY_INSTANCE)[0])["tag"] == [UNTOLD]
     assert (0xFF in facts(response)["status"], 0x2107 in facts(response)["extended_status"]) == (True, True)
     assert 0x0A in facts(journal(TWO)[0])["service"]
     assert facts({**request, "kind": "register"}) == {}

@@ -1,87 +1,49 @@
-"""What a session's frames are taken for."""
+"""Whose a frame on a cable is, where several packet sockets are open."""
 
 from __future__ import annotations
 
-import itertools
+import asyncio
+import io
+import socket
 
 import pytest
+from pytest_otmcp.mocks.cable import CableEnd
+from pytest_otmcp.mocks.frames import Frames
+from pytest_otmcp.mocks.journal import Journal
 
-from pytest_otmcp.session.frames import META_KEY, FrameRecorder, Measurement
-
-
-def recorder() -> FrameRecorder:
-    made = FrameRecorder()
-    made.sent(1, b"", 1, None)
-    return made
+PROFINET = 0x8892
+FRAME = bytes(12) + PROFINET.to_bytes(2) + bytes(46)
 
 
-def test_the_error_of_a_request_whose_id_could_not_be_read_has_none() -> None:
-    # JSON-RPC 2.0, section 5: "If there was an error in detecting the id in the Request object, it MUST be Null."
-    made = recorder()
-    made.received(2, b'{"jsonrpc":"2.0","id":null,"error":{"code":-32700,"message":"Parse error"}}')
-    assert (made.unknown_ids, made.repeated_ids, made.stray_count) == ([], [], 0)
+class Listed(io.BytesIO):
+    """The kernel's list of packet sockets: inodes in the order in which they were opened, and the bytes that they hold."""
+
+    def show(self, *inodes: int, held: int = 0) -> None:
+        rows = [f"sk 3 3 {PROFINET:04x} 2 1 {held} 0 {inode}\n" for inode in inodes]
+        self.seek(0)
+        self.truncate()
+        self.write(("head\n" + "".join(rows)).encode())
 
 
-def test_an_id_that_no_request_had_is_noted() -> None:
-    made = recorder()
-    made.received(2, b'{"jsonrpc":"2.0","id":7,"error":{"code":-32700,"message":"Parse error"}}')
-    assert made.unknown_ids == ["7"]
-
-
-def test_a_second_answer_is_noted() -> None:
-    made = recorder()
-    for now in (2, 3):
-        made.received(now, b'{"jsonrpc":"2.0","id":1,"result":{}}')
-    assert made.repeated_ids == ["1"]
-
-
-def answers(made: FrameRecorder, result: str) -> int:
-    """Answer calls in this way until the recorder takes no more; return how many it took."""
-    for number in itertools.count(1):
-        token = made.begin(Measurement())
-        made.sent(1, b"", number, {"_meta": {META_KEY: token}})
-        made.received(2, f'{{"jsonrpc":"2.0","id":{number},"result":{result}}}'.encode())
-        if made.overflow or number == 1000 or made.stray_count:
-            return number - made.overflow
-    raise AssertionError
-
-
-def test_a_session_may_be_asked_for_its_tools_without_end() -> None:
-    made, page = recorder(), f'{{"tools":[{"0," * 9_000}0]}}'
-    for number in range(2, 400):
-        made.sent(1, b"", number, None)
-        made.listing.renew()
-        made.received(2, f'{{"jsonrpc":"2.0","id":{number},"result":{page}}}'.encode())
-    assert not made.overflow
-
-
-@pytest.mark.parametrize(
-    ("result", "taken"),
-    [
-        pytest.param(f'{{"a":"{"a" * 4_190_000}"}}', 8, id="bytes"),
-        pytest.param(f'{{"a":[{"0," * 198_000}0]}}', 4, id="values"),
-        pytest.param(f'{{"a":"{"a" * 16_000}"}}', 1000, id="small"),
-    ],
-)
-def test_large_answers_that_are_kept_together_are_bounded(result: str, taken: int) -> None:
-    assert answers(recorder(), result) == taken
-
-
-def test_what_is_no_longer_kept_makes_room() -> None:
-    made = recorder()
-    large = f'{{"a":"{"a" * 4_000_000}"}}'
-    for number in range(12):
-        made.allowance.renew()
-        token = made.begin(Measurement())
-        made.sent(1, b"", number, {"_meta": {META_KEY: token}})
-        made.received(2, f'{{"jsonrpc":"2.0","id":{number},"result":{large}}}'.encode())
-    assert not made.overflow
-
-
-def test_a_list_of_tools_without_end_is_bounded() -> None:
-    made = recorder()
-    page = "a" * 4_000_000
-    for number in range(10):
-        made.sent(1, b"", number, None)
-        made.received(2, f'{{"jsonrpc":"2.0","id":{number},"result":{{"tools":"{page}"}}}}'.encode())
-    assert made.overflow
+@pytest.mark.asyncio
+async def test_a_frame_is_of_the_socket_that_was_opened_last_whichever_inode_it_has() -> None:
+    told: asyncio.Queue[int] = asyncio.Queue()
+    frames, sockets = Frames(Journal(), PROFINET, lambda number, frame: told.put_nowait(number)), Listed()
+    client, device = socket.socketpair(type=socket.SOCK_DGRAM)
+    device.setblocking(False)
+    with client:
+        frames.open(CableEnd(socket=device, mac=bytes(6), sockets=sockets))
+        numbers = []
+        for inodes, held in (
+            ((500,), 0),
+            ((500, 40), 0),
+            ((500, 40), 768),
+            ((500,), 0),
+            ((500, 30, 600), 0),
+            ((500, 30), 0),
+        ):
+            sockets.show(*inodes, held=held)
+            client.send(FRAME)
+            numbers.append(await asyncio.wait_for(told.get(), 60))
+        frames.close()
+    assert numbers == [1, 2, 2, 1, 4, 3]
