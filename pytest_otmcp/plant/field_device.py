@@ -183,6 +183,7 @@ class Gate:
                 self.unanswered.add(self.field.unanswered(frame))
                 return False
         except Exception:  # what cannot be read may do anything
+            self.unanswered.add(None)
             return False
         for point, value in written.items():
             self.passed.setdefault(point, []).append(value)

@@ -591,6 +591,8 @@ UNANSWERED = {
     "function 13": None,
     "function 2": None,
     "a read and more": None,
+    "half a header of a fragment": None,
+    "a wrong check sum of the data": None,
 }
 
 
