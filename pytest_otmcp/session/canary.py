@@ -79,6 +79,10 @@ class SecretSearch:
         """The secrets that were found."""
         return {self._values[leak.variable] for leak in self.leaks}
 
+    def __bool__(self) -> bool:
+        """Tell whether there is anything to look for."""
+        return bool(self._forms)
+
     def look(self, data: bytes, place: Callable[[], str]) -> None:
         """Look for the secrets in bytes; ``place`` is asked where they are from when there is one."""
         for form in self._forms:

@@ -122,7 +122,8 @@ class McpSession:
 
     def look_at_arguments(self) -> None:
         """Look for secrets in the arguments of the processes that the adapter runs at this moment."""
-        for line in command_lines(self.pid):
+        # To find the adapter's processes, all of the machine have to be asked.
+        for line in command_lines(self.pid) if self._options.secrets else ():
             self._options.secrets.look(line, lambda: "the arguments of a process")
 
     @property
