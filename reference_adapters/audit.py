@@ -1,4 +1,4 @@
-"""``python -m pytest_otmcp.reference_adapters.audit verify FILE… [--anchor ID…]``: verify an audit log, see ``core.audit``.
+"""``python -m pytest_otmcp.reference_adapters.audit verify FILE… [--anchor ID…]``: verify an audit log, see ``chain``.
 
 FILE is the log, or its parts in their order. ID is a ``meta.audit_id``. The exit code is 0 for a whole log, 1 for any other.
 """
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from .core.audit import Broken, verify
+from .chain import Broken, verify
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

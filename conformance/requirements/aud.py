@@ -179,7 +179,9 @@ async def changes_of_the_log_are_found(run: Repetition, at: Rig, governed: Rig) 
     for name in _edits(tool):
         whole = taken.get(name, False)
         if whole != (name == "whole"):
-            found = f"its verifier takes {'a log that nobody has changed for changed' if not whole else f'a log for whole of which {name}'}"
+            taken_for = f"a log for whole of which {name}" if whole else "a log that nobody has changed for changed"
+            unsaid = "" if anchor is not None else f"; the last answer has no anchor at {audit['anchor']}"
+            found = f"its verifier takes {taken_for}{unsaid}"
             run.finding("not_tamper_evident", f"{governed.protocol}: {found}", requirement="AUD-002")
 
 

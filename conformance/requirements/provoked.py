@@ -79,14 +79,15 @@ async def refused_by_the_adapter(run: Repetition, at: Rig) -> Reply | None:
 async def refused_by_the_device(run: Repetition, at: Rig) -> Reply:
     """Read while the device refuses it, and expect a failure, whatever its code.
 
-    An adapter may get at its data in another way, which the device does not refuse: then nothing is expected.
+    An adapter may get at its data in another way, which the device does not refuse: then nothing is expected. Nor is it of a status: a
+    device that refuses answers, so it can be reached.
     """
     await at.device.fault(*exercise(at).refused)
     asked, reply = await read(run, at)
     await at.device.fault()
-    if await met(at, reply):
-        known = protocols()[at.protocol]
-        own = asked.operation
+    known = protocols()[at.protocol]
+    own = asked.operation
+    if not known.operations[own].status and await met(at, reply):
         if known.exercise is not None and at.subject.blocks(own):
             # A call that waits has subscribed for itself.
             own = known.exercise.reading

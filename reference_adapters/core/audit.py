@@ -1,9 +1,4 @@
-"""The audit log: JSON Lines that are on disk before what they tell of leaves, chained by hashes over their bytes.
-
-A record ends in ``,"hash":"…"}``: the SHA-256 of all bytes of its line before that. One of these is ``prev``, the hash of the record before, so
-that a verifier in any language needs no canonical JSON. A record's *anchor*, its number and the first sixteen digits of its hash, is the
-envelope's ``meta.audit_id``: whoever has an answer can tell that the log was cut off before its record. Without an anchor nobody can: the
-last records of a chain can be removed, and who may write the file can make the whole chain again.
+"""The audit log: JSON Lines that are on disk before what they tell of leaves, chained by hashes over their bytes (``chain``).
 
 Whatever is wrong with the file (full disk, no permission, another process has it), what would have to be recorded does not happen, and everything
 else goes on. The next record is tried again from the beginning: the file is opened and its end is read.
@@ -17,53 +12,19 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any
 
+from ..chain import START, Broken, Record, records
 from .errors import AdapterError
 from .settings import Environment
 
-__all__ = ["Audit", "Broken", "Verdict", "verify"]
+__all__ = ["Audit"]
 
-_START = "0" * 64
-_RECORD = re.compile(rb'(\{"seq":(\d+),.*"prev":"([0-9a-f]{64})"),"hash":"([0-9a-f]{64})"\}')
-_EVENT = re.compile(rb'\{"seq":\d+,"time":"[^"]*","event":"([a-z]+)"(?:,"lost_bytes":(\d+))?')
 _WINDOW = 1 << 16
 _SYNC = getattr(os, "fdatasync", os.fsync)
-
-
-class Broken(Exception):
-    """The log is not as it was written; the text says where, and in which respect."""
-
-
-class _Record(NamedTuple):
-    seq: int
-    prev: str
-    hash: str
-    event: str
-    lost_bytes: int
-
-    @property
-    def anchor(self) -> str:
-        return f"{self.seq}:{self.hash[:16]}"
-
-
-class Verdict(NamedTuple):
-    """What a verified log is.
-
-    Attributes:
-        first, last: numbers of its first and last records.
-        anchor: that of the last record.
-        unfinished: bytes at the end that are no record: an interrupted write, which was refused.
-    """
-
-    first: int
-    last: int
-    anchor: str
-    unfinished: int
 
 
 class Audit:
@@ -83,7 +44,7 @@ class Audit:
         self._file: int | None = None
         self._lock: int | None = None
         self._size = self._inode = 0
-        self._seq, self._hash = 0, _START
+        self._seq, self._hash = 0, START
         self._missed = 0
         self._started = False
 
@@ -197,7 +158,7 @@ class Audit:
         except FileNotFoundError:
             return False
 
-    def _end_before(self) -> _Record | None:
+    def _end_before(self) -> Record | None:
         """Return the last record of the newest file that was renamed."""
         renamed = re.compile(re.escape(self._path.name) + r"\.(\d+)")
         older = {int(found[1]): file for file in self._path.parent.iterdir() if (found := renamed.fullmatch(file.name))}
@@ -228,19 +189,7 @@ class Audit:
         _SYNC(self._file)
 
 
-def _records(lines: Iterable[bytes]) -> Iterator[tuple[_Record | None, bytes]]:
-    """Return what each line is: a record whose hash is that of its bytes, or None."""
-    for line in lines:
-        found = _RECORD.fullmatch(line)
-        if found is None or hashlib.sha256(found[1]).hexdigest().encode() != found[4]:
-            yield None, line
-            continue
-        event = _EVENT.match(line)
-        kind, lost = ("", 0) if event is None else (event[1].decode(), int(event[2] or 0))
-        yield _Record(int(found[2]), found[3].decode(), found[4].decode(), kind, lost), line
-
-
-def _end(path: Path) -> tuple[_Record | None, int, bool]:
+def _end(path: Path) -> tuple[Record | None, int, bool]:
     """Return the last record of a file, the bytes after it that are none, and whether the file ends with a line break.
 
     Raises:
@@ -257,7 +206,7 @@ def _end(path: Path) -> tuple[_Record | None, int, bool]:
                 # The first is the rest of a line.
                 lines = lines[1:]
             lost, last = len(tail), None
-            for last, line in _records(reversed(lines)):
+            for last, line in records(reversed(lines)):
                 if last is not None:
                     break
                 lost += len(line)
@@ -266,43 +215,3 @@ def _end(path: Path) -> tuple[_Record | None, int, bool]:
                     raise Broken("it is no audit log, or its first record is damaged")
                 return last, lost, not tail
             window *= 8
-
-
-def verify(files: Iterable[BinaryIO], anchors: Iterable[str] = ()) -> Verdict:
-    """Verify a log.
-
-    Args:
-        files: the file, or its parts in their order.
-        anchors: of records that must be in it.
-
-    Raises:
-        Broken: a record was changed, removed, added or moved, or has no end that an anchor tells of.
-    """
-    wanted, number = set(anchors), 0
-    first: _Record | None = None
-    last: _Record | None = None
-    lost: int | None = None
-    """Bytes since the last record of lines that are no records; None where there are no such lines."""
-    for file in files:
-        for record, line in _records(one.removesuffix(b"\n") for one in file):
-            number += 1
-            if record is None:
-                lost = (lost or 0) + len(line)
-                continue
-            where = f"line {number}, record {record.seq}"
-            # What this log leaves behind is never an empty line.
-            if lost is not None and not lost == record.lost_bytes > 0:
-                raise Broken(f"{where}: before it are {lost} bytes that are no record, and it does not tell of them")
-            if last is None:
-                if record.event != "continued" and (record.seq, record.prev) != (1, _START):
-                    raise Broken(f"{where}: the beginning is missing")
-                first = record
-            elif record.prev != last.hash or record.seq != last.seq + 1:
-                raise Broken(f"{where}: it does not follow on record {last.seq}")
-            last, lost = record, None
-            wanted.discard(record.anchor)
-    if first is None or last is None:
-        raise Broken("there is no record")
-    if wanted:
-        raise Broken(f"the record of {min(wanted)} is missing or was changed")
-    return Verdict(first.seq, last.seq, last.anchor, lost or 0)

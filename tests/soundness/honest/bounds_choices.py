@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer
+from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.core import bounds as core_bounds
 from pytest_otmcp.reference_adapters.core.bounds import Bounds
 from pytest_otmcp.reference_adapters.defects.defect import failing
@@ -32,11 +32,13 @@ _OPCUA, opcua = choices("opcua")
     "what an adapter does not offer need not have a name",
 )
 def knows_no_other_registers(server: AdapterServer) -> None:
-    failing(change=lambda call, error: _unknown() if error.code == "access_denied" else None)(server)
+    def change(call: Call, error: AdapterError) -> AdapterError | None:
+        # What the device denies is no matter of the list.
+        if error.code != "access_denied" or "exception_code" in call.trace:
+            return None
+        return AdapterError("illegal_address", "there is no such register that may be written", outcome="not_sent")
 
-
-def _unknown() -> AdapterError:
-    return AdapterError("illegal_address", "there is no such register that may be written", outcome="not_sent")
+    failing(change=change)(server)
 
 
 @modbus(

@@ -28,7 +28,8 @@ _MQTT, mqtt = choices("mqtt")
 
 
 def _named(adapter: Adapter) -> Adapter:
-    return dataclasses.replace(named_subject().adapters[adapter.protocol], variants=adapter.variants)
+    named = named_subject().adapters[adapter.protocol]
+    return dataclasses.replace(named, variants={name: adapter.variants[name] for name in named.variants})
 
 
 def _without_qos(adapter: Adapter) -> Adapter:

@@ -98,6 +98,8 @@ def answers_in_texts(adapter: Adapter) -> Adapter:
 def data_as_text(envelope: Mapping[str, Any]) -> dict[str, Any]:
     """Return a result as ``json.dumps`` of what a tool returns makes it, which escapes all that is not ASCII."""
     said = {"data": envelope["data"]} if envelope["success"] else {"error": envelope["error"]["message"]}
+    # Without it nobody could tell that the audit log was cut off.
+    said |= {"meta": {"audit_id": found} for found in [envelope["meta"].get("audit_id")] if found}
     return {"content": [{"type": "text", "text": json.dumps(said)}], "isError": not envelope["success"]}
 
 
