@@ -161,6 +161,7 @@ def _narrowed(at: Rig, exercise: Exercise) -> Exercise:
         every_write=exercise.every_write and _each(at, exercise.every_write),
         tells=tells and _each(at, lambda rng: tuple(_taken(at, asked) for asked in tells(rng))),
         commanded=exercise.commanded and _each(at, exercise.commanded),
+        fenced=exercise.fenced and _each(at, exercise.fenced),
         large=exercise.large and _chosen(at, exercise.large, lambda asked: asked),
         floats={kind: read for kind, read in exercise.floats.items() if allowed(at, read(1.5))},
         bounds=exercise.bounds and _chosen(at, exercise.bounds, lambda pair: pair[0]),

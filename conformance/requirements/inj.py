@@ -170,8 +170,11 @@ async def _same_tools(run: Repetition, at: Rig, first: str) -> None:
         await at.fresh_session()
         found = await now()
         if found != digest:
-            await at.fresh_session()
-            when = "in a new session" if await now() == found else None
+            # An adapter may describe its tools anew, and announce that, after its first call.
+            await it_answers(run, at)
+            if await now() != digest:
+                await at.fresh_session()
+                when = "in a new session" if await now() == found else None
     if when is not None:
         message = f"{at.protocol}: tools/list says something else {when} since the device has other texts"
         run.finding("tools_changed", message, requirement="INJ-001")

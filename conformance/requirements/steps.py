@@ -57,8 +57,9 @@ __all__ = [
     "written_once",
 ]
 
-_POLLED_S = 3.0
-"""How long is looked for requests that nobody has asked for, before equal requests are held against a call."""
+_POLLED_S = 6.0
+"""How long is looked for requests that nobody has asked for, before equal requests are held against a call. A question of the adapter's own that
+nobody has answered may wait for a whole time-out before it is asked again."""
 
 
 def can_read(run: Repetition, at: Rig) -> bool:

@@ -33,6 +33,8 @@ class CallWindow:
         during: entries from the first request to the last reply.
         until_next: entries from the first request to the adapter's next call.
         until_end: entries from the first request to the end of the repetition.
+        standing: the last entries before the first request that tell of process data which nothing has changed, one of each connection and
+            station: a device tells once of what a master repeats all the time, and the calls may have repeated it as well.
         following: the adapter's next calls in the repetition; None after the last ones.
     """
 
@@ -42,6 +44,7 @@ class CallWindow:
     during: Entries
     until_next: Entries
     until_end: Entries
+    standing: Entries
     following: CallWindow | None
 
 
@@ -73,10 +76,16 @@ def windows(calls: Iterable[Judged], entries: Entries) -> list[CallWindow]:
                 during=entries[first : max(first, bisect_right(times, end))],
                 until_next=entries[first : max(first, bisect_left(times, until))],
                 until_end=entries[first:],
+                standing=_standing(entries[:first]),
                 following=following,
             )
         )
     return found[::-1]
+
+
+def _standing(before: Entries) -> Entries:
+    cycles = (entry for entry in from_adapter(before) if entry["kind"] == "cycle")
+    return list({(entry["connection"], entry.get("station")): entry for entry in cycles}.values())
 
 
 def from_adapter(entries: Entries) -> list[Entry]:

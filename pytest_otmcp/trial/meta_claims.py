@@ -48,7 +48,7 @@ def meta_faults(
     attempts = meta.get("attempts")
     if isinstance(attempts, bool) or not isinstance(attempts, int):
         return
-    if meta.get("source") == "device" and not any(_is_traffic(entry) for entry in seen):
+    if meta.get("source") == "device" and not any(_is_traffic(entry) for entry in (*window.standing, *seen)):
         # What else it says of an exchange that there was not has the same cause.
         yield _without_traffic(call)
         return
@@ -60,7 +60,7 @@ def meta_faults(
         # Requests that went to a connection that had ended, before a new one was made, were not read either; what opens a session is none.
         renewed = "CONNECTED" in kinds
         if not renewed or (call.reply.success and attempts <= sum(entry["request"] for entry in from_adapter(seen))):
-            yield from _trace(call, meta.get("trace"), seen, protocol)
+            yield from _trace(call, meta.get("trace"), [*window.standing, *seen], protocol)
         yield from _latency(window, call, meta.get("latency_ms"), attempts)
 
 
@@ -106,6 +106,8 @@ def _attempts(
     window: CallWindow, call: Judged, attempts: int, seen: Entries, protocol: OtProtocol, declared: Declared
 ) -> Iterator[Finding]:
     sent = from_adapter(seen)
+    if attempts > len(sent):
+        sent += window.standing
     if attempts > len(sent):
         sent += _late(window, known={entry["seq"] for entry in seen})
     if attempts > len(sent) and call.reply.error_code not in _MAYBE_UNREAD:

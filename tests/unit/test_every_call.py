@@ -124,6 +124,13 @@ def test_more_requests_than_attempts_may_be_the_adapters_own_questions() -> None
     assert claims(call(), *exchange(1.2), *exchange(1.5, address=100)) == []
 
 
+def test_an_exchange_that_the_device_tells_of_once_may_be_repeated_by_a_call() -> None:
+    before = entry(0.5, "cycle")
+    assert claims(call(), before) == []
+    assert claims(call(attempts=2), before) == ["attempts ENV-005"]
+    assert claims(call(), entry(0.5)) == ["source_without_traffic ENV-008"]
+
+
 def test_a_new_connection_or_a_device_that_is_down_hides_attempts() -> None:
     assert claims(call(attempts=2), entry(1.1, "CONNECTED"), *exchange(1.2)) == []
     assert claims(replace(call(source="none"), reachable=False)) == []

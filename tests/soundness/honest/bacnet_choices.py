@@ -15,7 +15,7 @@ from bacpypes3.apdu import (
     WritePropertyMultipleError,
     WritePropertyMultipleRequest,
 )
-from bacpypes3.appservice import ABORTED
+from bacpypes3.appservice import ABORTED, ClientSSM
 from bacpypes3.basetypes import PropertyReference, PropertyValue, ReadAccessSpecification, WriteAccessSpecification
 from bacpypes3.pdu import Address
 from bacpypes3.primitivedata import ObjectIdentifier
@@ -287,21 +287,30 @@ def discovers_in_background(server: AdapterServer) -> None:
 
 
 @choice(
-    "sends a request again each second with the invoke id that it had, a write too, until its call ends",
+    "sends a request again with the invoke id that it had, a write too, until its call ends",
     "ASHRAE 135, clause 5.4: a client repeats a request whose answer did not come, and the device knows it by its invoke id",
 )
 def repeats_with_its_invoke_id(server: AdapterServer) -> None:
     link = tools_of(server)._link
-    genuine = link._exchange
+    genuine, again = link._exchange, ClientSSM.await_confirmation_timeout
+    calls: list[Call] = []
 
     def repeating(client: Any) -> None:
-        client.asap.device_object.numberOfApduRetries = 2
-        client.asap.device_object.apduTimeout = 1000
+        client.asap.device_object.numberOfApduRetries = 1
+        client.asap.device_object.apduTimeout = int(link._timeout_s * 500)
+
+    async def counted(transaction: Any) -> None:
+        if transaction.retryCount < transaction.numberOfApduRetries:
+            for call in calls:
+                call.attempts += transaction.invokeID in call.trace.get("invoke_ids", ())
+        await again(transaction)
 
     async def exchange(call: Call, *arguments: Any, **more: Any) -> Any:
+        calls.append(call)
         try:
             return await genuine(call, *arguments, **more)
         finally:
+            calls.remove(call)
             # Nothing is repeated for a call that has ended.
             client, _ = await link._opened()
             for transaction in list(client.asap.clientTransactions):
@@ -315,6 +324,7 @@ def repeats_with_its_invoke_id(server: AdapterServer) -> None:
             raise lost.error from None
 
     link._exchange = exchange
+    ClientSSM.await_confirmation_timeout = counted
     bacnet_link.repeat_once, bacnet_link._TRANSMISSIONS = only_one, 1
     when_opened(server, repeating)
 

@@ -9,6 +9,8 @@ import struct
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.core import bounds as core_bounds
+from pytest_otmcp.reference_adapters.core import policy as core_policy
 from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.ethernetip import link as ethernetip_link
 from pytest_otmcp.reference_adapters.ethernetip import tools as ethernetip_tools
@@ -187,6 +189,12 @@ choice("performs one call after the other", "the order of calls made at the same
 def names_in_capitals(server: AdapterServer) -> None:
     genuine = ethernetip_tools._target
     ethernetip_tools._target = lambda name: genuine(name.upper())
+    covers = core_bounds.covers
+
+    def in_any_case(pattern: str, target: str) -> bool:
+        return covers(pattern.upper(), target.upper())
+
+    core_bounds.covers = core_policy.covers = in_any_case
 
 
 @choice(

@@ -399,11 +399,17 @@ def notifications(server: AdapterServer) -> None:
     before_each_message(lambda: json.dumps(told).encode())
 
 
+def spoken_to_over_pipes(adapter: Adapter) -> Adapter:
+    """Return a description of an adapter that is spoken to by handshake, and never over HTTP."""
+    variants = {name: one for name, one in adapter.variants.items() if name != "tokens"}
+    return dataclasses.replace(spoken_to_by_handshake(adapter), variants=variants, tokens=None)
+
+
 @choice(
     "describes its tools anew after the first call, and announces it",
     "MCP 2025-11-25, server/tools, List Changed Notification",
     warnings=(("MCP-010", "tools_changed"),),
-    described=spoken_to_by_handshake,
+    described=spoken_to_over_pipes,
 )
 def announces_new_descriptions(server: AdapterServer) -> None:
     told = b'{"jsonrpc":"2.0","method":"notifications/tools/list_changed"}\n'
@@ -438,7 +444,11 @@ def lines_of_windows(server: AdapterServer) -> None:
 def reached_by_http(adapter: Adapter) -> Adapter:
     over = {"MCP_TRANSPORT": "streamable-http", "MCP_HTTP_PORT": "{http_port}"}
     variants = {name: dataclasses.replace(one, env={**one.env, **over}) for name, one in adapter.variants.items()}
-    return dataclasses.replace(adapter, transport="http", url="http://127.0.0.1:{http_port}/mcp", variants=variants)
+    # Over HTTP a policy needs to know who calls.
+    del variants["governed"]
+    return dataclasses.replace(
+        adapter, transport="http", url="http://127.0.0.1:{http_port}/mcp", variants=variants, governed=None
+    )
 
 
 @choice("is spoken to over streamable HTTP", "MCP, basic/transports", described=reached_by_http)

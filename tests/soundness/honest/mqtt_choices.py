@@ -247,9 +247,16 @@ def new_client_identifiers(server: AdapterServer) -> None:
     link._connect = connect
 
 
+def without_tls(adapter: Adapter) -> Adapter:
+    """Return a description without the launch over TLS, which the second connection does not have."""
+    variants = {name: one for name, one in adapter.variants.items() if name != "secure"}
+    return dataclasses.replace(adapter, variants=variants)
+
+
 @choice(
     "is a Sparkplug host application over a second connection: tells its STATE, and asks nodes that it does not know for their births",
     "tck-id-intro-sparkplug-host-state, tck-id-operational-behavior-host-reordering-rebirth",
+    described=without_tls,
 )
 def host_application(server: AdapterServer) -> None:
     beside()(server)

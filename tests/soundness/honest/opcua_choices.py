@@ -270,6 +270,7 @@ def node_list(server: AdapterServer) -> None:
 def writes_a_timestamp(server: AdapterServer) -> None:
     async def write(services: Services, nodes: Sequence[ua.NodeId], values: Sequence[ua.Variant]) -> Any:
         now = datetime.now(UTC).replace(tzinfo=None)
+        services._call.changes(*((node.to_string(), value.Value) for node, value in zip(nodes, values, strict=True)))
         parameters = ua.WriteParameters(
             NodesToWrite=[
                 ua.WriteValue(

@@ -207,8 +207,8 @@ def polls_the_same_inputs(server: AdapterServer) -> None:
     async def poll() -> None:
         await asyncio.sleep(0.1)
         telegram = master._telegram(VALVES, "RD_Inp", b"", control=0x4D)
-        # Nobody else can use the line while it waits for a slave that is not there.
-        await master.line.exchange(background_call(server), telegram, timeout_s=0.05)
+        # Nobody else can use the line while it waits for a slave that is not there; an answer that comes later would be the next one's.
+        await master.line.exchange(background_call(server), telegram, timeout_s=0.5)
 
     in_background(server, poll)
 

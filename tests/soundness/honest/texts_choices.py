@@ -98,8 +98,9 @@ def answers_in_texts(adapter: Adapter) -> Adapter:
 def data_as_text(envelope: Mapping[str, Any]) -> dict[str, Any]:
     """Return a result as ``json.dumps`` of what a tool returns makes it, which escapes all that is not ASCII."""
     said = {"data": envelope["data"]} if envelope["success"] else {"error": envelope["error"]["message"]}
-    # Without it nobody could tell that the audit log was cut off.
-    said |= {"meta": {"audit_id": found} for found in [envelope["meta"].get("audit_id")] if found}
+    if "audit_id" in envelope["meta"]:
+        # Without it nobody could tell that the audit log was cut off.
+        said["meta"] = {"audit_id": envelope["meta"]["audit_id"]}
     return {"content": [{"type": "text", "text": json.dumps(said)}], "isError": not envelope["success"]}
 
 
