@@ -68,7 +68,7 @@ NEIGHBOURS = [
     ("profibus/asks-for-any-station", "ADR-002.profibus"),
     ("ethercat/reads-again-after-silence", "TMO-002.ethercat"),
     ("ethercat/inputs-by-process-data", "RD-001.ethercat RD-004.ethercat CON-001.ethercat"),
-    ("opcua/looks-before-writing", "O3 WR-001.opcua WR-002.opcua"),
+    ("opcua/looks-before-writing", "O3 OUA-005.opcua WR-001.opcua WR-002.opcua"),
 ]
 """Honest adapters, each with the check that it is made for."""
 

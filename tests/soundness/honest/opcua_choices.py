@@ -163,9 +163,13 @@ def looks_before_writing(server: AdapterServer) -> None:
     genuine = Services.write
 
     async def write(services: Services, nodes: Sequence[ua.NodeId], values: Sequence[ua.Variant]) -> Any:
-        levels = await services.read(nodes, ua.AttributeIds.UserAccessLevel)
-        if not all(level.Value.Value & ua.AccessLevel.CurrentWrite.mask for level in levels):
-            raise AdapterError("not_writable", "one of the nodes may not be written", outcome="not_sent")
+        for attribute, code in (
+            (ua.AttributeIds.AccessLevel, "not_writable"),
+            (ua.AttributeIds.UserAccessLevel, "access_denied"),
+        ):
+            levels = await services.read(nodes, attribute)
+            if not all(level.Value.Value & ua.AccessLevel.CurrentWrite.mask for level in levels):
+                raise AdapterError(code, "one of the nodes may not be written", outcome="not_sent")
         return await genuine(services, nodes, values)
 
     Services.write = write
