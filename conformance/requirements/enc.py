@@ -670,8 +670,9 @@ async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
     for text in holds:
         asked = texts.read(text)
         reply = await _asked(at, asked)
-        # An adapter may take shorter messages than the text needs.
-        if not exact_or_refused(run, reply, *_NOT_THERE, "limit_exceeded", requirement="ENC-006"):
+        # An adapter may take shorter messages than the longest text needs.
+        codes = (*_NOT_THERE, "limit_exceeded") if len(text) == texts.longest else _NOT_THERE
+        if not exact_or_refused(run, reply, *codes, requirement="ENC-006"):
             return
         found = reply.outputs.get("value")
         exact = text.removesuffix(nonce) not in _INVISIBLE and (text.isascii() or texts.encoding == "utf-8")
