@@ -15,7 +15,7 @@ Standard output carries one JSON object per line, standard input one word per li
 ``endpoints`` maps the name of each endpoint to ``{"kind": "tcp" or "udp", "host", "port"}``, ``{"kind": "pty", "path"}`` or
 ``{"kind": "cable", "host", "path", "mac", "join"}``, where ``join`` is the number of a process in the network of the clients, for
 nsenter(1). ``host`` and ``port`` are those of the first, null where it has none; ``control`` is the path of the control socket.
-``{"event": "died", "port", "exit"}``, with ``taken`` where its port was, tells that a device ended by itself; ``start`` is understood afterwards. The exit code is
+``{"event": "died", "port", "exit"}`` tells that a device ended by itself; ``start`` is understood afterwards. The exit code is
 75 for a device that has run out of something, 69 for one whose port another program has taken, and else 1.
 ``{"event": "error", "message"}`` answers any other word. End of input ends everything.
 
@@ -34,7 +34,6 @@ import os
 import selectors
 import signal
 import sys
-import time
 import traceback
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -53,11 +52,6 @@ __all__ = ["run"]
 
 _OCCUPIED = 69
 """Exit code of a device whose port another program has taken: EX_UNAVAILABLE of ``sysexits.h``."""
-_TAKEN_S = 2.0
-"""How long a port may be taken. Twice in some ten thousand starts it was, and a moment before nobody had listened there."""
-
-_SERVES, _MOST_SAID = b"\n", 300
-"""What a device says to its launcher when it serves, and bytes of what it says of a port that is taken."""
 
 _STDIN, _STDOUT, _STDERR = 0, 1, 2
 _END_SIGNALS = (signal.SIGTERM, signal.SIGINT)
@@ -148,7 +142,6 @@ class _Launcher:
         self._control = control
         self._pid: int | None = None
         self._death = -1
-        self._taken = ""
         self._life_read, self._life_write = os.pipe()
         # poll and not epoll, which refuses files and /dev/null as standard input.
         self._selector = selectors.PollSelector()
@@ -191,26 +184,7 @@ class _Launcher:
         return bool(chunk)
 
     def start(self) -> None:
-        """Fork a device and report when it serves. A port that is taken may be so for a moment: another device is forked until that is over."""
-        ends = time.monotonic() + _TAKEN_S
-        while (code := self._fork()) == _OCCUPIED and time.monotonic() < ends:
-            with _interruptible():
-                time.sleep(_TAKEN_S / 20)
-        if code is not None:
-            self.say(event="died", port=self._port, exit=code, **({"taken": self._taken} if code == _OCCUPIED else {}))
-            return
-        self.say(
-            event="ready",
-            protocol=self._name,
-            host=self._host,
-            port=self._port,
-            endpoints=self._endpoints,
-            control=self._control.path,
-            pid=self._pid,
-        )
-
-    def _fork(self) -> int | None:
-        """Return None when a device serves, or the exit code of one that does not."""
+        """Fork a device and report when it serves."""
         death_read, death_write = os.pipe()
         pid = os.fork()
         if pid == 0:
@@ -221,9 +195,19 @@ class _Launcher:
         self._pid, self._death = pid, death_read
         self._selector.register(death_read, selectors.EVENT_READ)
         with _interruptible():
-            said = os.read(death_read, _MOST_SAID)
-        self._taken = said.decode("utf-8", "replace")
-        return None if said == _SERVES else self._reap()
+            is_ready = os.read(death_read, 1)
+        if not is_ready:
+            self._device_died()
+            return
+        self.say(
+            event="ready",
+            protocol=self._name,
+            host=self._host,
+            port=self._port,
+            endpoints=self._endpoints,
+            control=self._control.path,
+            pid=pid,
+        )
 
     def _reap(self) -> int:
         assert self._pid is not None
@@ -268,9 +252,7 @@ class _Launcher:
                 code = EXIT_CODE
             elif isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
                 code = _OCCUPIED
-            if code == _OCCUPIED:
-                os.write(death, str(error).encode()[:_MOST_SAID])
-            else:
+            if code != _OCCUPIED:
                 traceback.print_exc()
         finally:
             sys.stderr.flush()
@@ -289,7 +271,7 @@ async def _serve(
     await ControlServer(device).start(control.listen())
     # The pipe stays open: its end shows the end of the device.
     with contextlib.suppress(BrokenPipeError):  # the launcher is gone already, and the life pipe will tell
-        os.write(death, _SERVES)
+        os.write(death, b"\n")
     await ended.wait()
     await device.aclose()
     # The launcher was killed and could not do this itself.

@@ -81,15 +81,11 @@ def endpoint_values(scheme: str, endpoints: Mapping[str, Endpoint]) -> dict[str,
     return values | {f"{endpoint.name}_port": str(endpoint.port) for endpoint in further}
 
 
-def occupied(endpoint: Endpoint, told: object = None) -> ExhaustedError:
-    """Return the error that says that another program has taken an endpoint while its device was away.
-
-    Args:
-        told: what the device was told when it wanted it.
-    """
+def occupied(endpoint: Endpoint) -> ExhaustedError:
+    """Return the error that says that another program has taken an endpoint while its device was away."""
     return ExhaustedError(
         f"another program has taken {endpoint.host}:{endpoint.port}, the address of a mock device, while the device was stopped; "
-        "end that program (`ss -ltnp` names it) and run again" + (f" ({told})" if told else "")
+        "end that program (`ss -ltnp` names it) and run again"
     )
 
 

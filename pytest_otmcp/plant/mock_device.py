@@ -219,7 +219,7 @@ class MockDevice:
             raise self._exhausted()
         taken = first_port(self.endpoints)
         if event.get("event") == "died" and event.get("exit") == _OCCUPIED and taken is not None:
-            raise occupied(taken, event.get("taken"))
+            raise occupied(taken)
         if event.get("event") != expected:
             raise KitError(f"the {self._name} mock said {event} where {expected!r} was expected")
         return event
