@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from ..core.errors import ExhaustedError
 from ..record.schema import Endpoint as EndpointFacts
+from ..session.isolation import Walls
 
 __all__ = ["Endpoint", "check_free", "endpoint_values", "first_port", "occupied"]
 
@@ -89,18 +91,25 @@ def occupied(endpoint: Endpoint) -> ExhaustedError:
     )
 
 
-async def check_free(endpoints: Iterable[Endpoint]) -> None:
+async def check_free(endpoints: Iterable[Endpoint], walls: Walls | None) -> None:
     """Make sure that nobody listens on the TCP ports of a device that is stopped; nothing is sent to who does.
+
+    Args:
+        walls: around the adapters of the device; the ports are in the network there.
 
     Raises:
         ExhaustedError: another program does. On Linux one of the same user can take a port that is only reserved (SO_REUSEPORT).
     """
+    loop = asyncio.get_running_loop()
     for endpoint in endpoints:
         if endpoint.kind != "tcp":
             continue
-        try:
-            _, writer = await asyncio.open_connection(endpoint.host, endpoint.port)
-        except OSError:
-            continue
-        writer.transport.abort()
+        # In another network others have these ports. Where nobody has one, the system may give it to the socket that asks, which is
+        # then connected to itself.
+        with socket.socket() if walls is None else walls.socket(socket.SOCK_STREAM) as probe:
+            probe.setblocking(False)
+            try:
+                await loop.sock_connect(probe, (endpoint.host, endpoint.port))
+            except OSError:
+                continue
         raise occupied(endpoint)

@@ -114,7 +114,7 @@ class TappedDevice:
         Raises:
             ExhaustedError: another program has taken the port.
         """
-        await check_free(self.endpoints.values())
+        await check_free(self.endpoints.values(), self.walls)
         self.tap.begin_journal()
         await self.tap.up()
         self._serves()

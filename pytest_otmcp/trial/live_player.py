@@ -271,7 +271,7 @@ class LivePlayer(Player):
         return self.device.accepting_ns
 
     async def check_away(self) -> None:
-        await check_free(self.device.endpoints.values())
+        await check_free(self.device.endpoints.values(), self.device.walls)
 
     async def stop(self) -> float:
         begun = time.monotonic_ns()
