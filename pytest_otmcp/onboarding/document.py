@@ -344,6 +344,7 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
             for line in proposal.evidence
         ),
         *(f"# not proven: {line}" for line in proposal.caveats),
+        *(f"# tried before: {line}" for line in proposal.likelier),
     ]
     if proposal.proven and not lacking:
         return [*comments, head, *body]

@@ -96,8 +96,14 @@ class Experimenter:
                 self._read.append((proposal, experiment))
             tried.append(proposal)
             if self._merits(proposal) == (True, True, True):
-                return proposal
-        return max(tried, key=self._merits, default=None)
+                break
+        chosen = max(tried, key=self._merits, default=None)
+        for other in tried:
+            if chosen is None or other is chosen:
+                break
+            if other.guess.tool != chosen.guess.tool:
+                chosen.likelier.append(f"{other.guess.tool}: {other.evidence[0]}")
+        return chosen
 
     def _merits(self, proposal: Proposal) -> tuple[bool, bool, bool]:
         """Return what speaks for a proposal, most important first."""
@@ -111,16 +117,26 @@ class Experimenter:
         try:
             if self._writing:
                 await self._prove_session(guess)
-            proposal = await experiment(self, guess)
+            proposal = await self._proof(guess, experiment)
         except (NotProvenError, NoBindingError) as problem:
             return Proposal(guess=guess, proven=False, evidence=[f"not tried, nothing was written: {problem}"])
-        self._refute(proposal)
         if proposal.proven:
             try:
                 await (self._write_further if self._writing else self._vary)(proposal)
                 await self._provoke(proposal)
             except (NotProvenError, NoBindingError) as problem:
                 proposal.caveats.append(f"nothing further was tried: {problem}")
+        return proposal
+
+    async def _proof(self, guess: Guess, experiment: Experiment) -> Proposal:
+        is_first = not self._read and not self._writing
+        proposal = await experiment(self, guess)
+        self._refute(proposal)
+        if is_first and not proposal.proven:
+            # Many adapters load the library of their protocol, and connect, with the first call that needs it; on a busy machine that
+            # may take longer than a call may.
+            proposal = await experiment(self, guess)
+            self._refute(proposal)
         return proposal
 
     def _refute(self, proposal: Proposal) -> None:

@@ -33,6 +33,7 @@ class Proposal:
         returned: a random value came from the mock device through the tool, or to it.
         whole: False when it is only right as long as there is no tool that does more.
         tried: False when no call was made, because its name and its arguments are all there is to go by.
+        likelier: sentences on tools that are likelier by their names, and have proven less.
     """
 
     guess: Guess
@@ -52,6 +53,7 @@ class Proposal:
     returned: bool = False
     whole: bool = True
     tried: bool = True
+    likelier: list[str] = field(default_factory=list)
 
 
 def by_name(guesses: Sequence[Guess]) -> Proposal | None:

@@ -117,6 +117,7 @@ class Done:
             check=False,
         )
         file = directory / "otmcp.toml"
+        self.file = file.read_text(encoding="utf-8") if file.exists() else ""
         lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
         self.connections = [tuple(line.split()) for line in lines]
         self.adapter = load_subject(file).adapters[launch.protocol] if file.exists() else None
@@ -167,7 +168,7 @@ def test_what_init_proves_is_right_and_nothing_but_the_mock_is_touched(
     launch: Launch, done: Done, plants: list[AtUsualPort]
 ) -> None:
     assert done.process.returncode == 0, done.process.stdout + done.process.stderr
-    assert done.told("proven") == launch.proven, done.process.stdout
+    assert done.told("proven") == launch.proven, f"{done.process.stdout}\n{done.file}"
     assert done.told("asked, but not read") == launch.unfilled, done.process.stdout
     assert done.process.stdout.count("\n  - ") == launch.left, done.process.stdout
     assert done.adapter is not None
