@@ -458,7 +458,9 @@ def test_values_that_are_wrong_are_the_adapters_where_their_place_is_right(init:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("failing", "tool"), [(1, "read_holding_registers"), (1000, "read_holding_registers_of_block")])
+@pytest.mark.parametrize(
+    ("failing", "tool"), [(1, "read_holding_registers"), (1000, "read_holding_registers_of_block")]
+)
 def test_the_first_call_may_fail_and_of_a_likelier_tool_the_file_says_why_it_was_not_taken(
     init: Init, tmp_path: Path, failing: int, tool: str
 ) -> None:
