@@ -264,19 +264,19 @@ failing = int(os.environ["FAILING"])
 
 
 @server.tool()
-def read_holding_registers(address: int, count: int) -> dict[str, list[int]]:
+def read_input_registers(address: int, count: int) -> dict[str, list[int]]:
     global failing
     failing -= 1
     if failing >= 0:
         raise TimeoutError("no answer in time")
     client.connect()
-    return {"values": client.read_holding_registers(address, count=count, device_id=1).registers}
+    return {"values": client.read_input_registers(address, count=count, device_id=1).registers}
 
 
 @server.tool()
-def read_holding_registers_of_block(address: int, count: int) -> dict[str, list[int]]:
+def read_input_registers_of_block(address: int, count: int) -> dict[str, list[int]]:
     client.connect()
-    return {"values": client.read_holding_registers(address, count=count, device_id=1).registers}
+    return {"values": client.read_input_registers(address, count=count, device_id=1).registers}
 
 
 server.run()
@@ -458,15 +458,13 @@ def test_values_that_are_wrong_are_the_adapters_where_their_place_is_right(init:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("failing", "tool"), [(1, "read_holding_registers"), (1000, "read_holding_registers_of_block")]
-)
+@pytest.mark.parametrize(("failing", "tool"), [(1, "read_input_registers"), (1000, "read_input_registers_of_block")])
 def test_the_first_call_may_fail_and_of_a_likelier_tool_the_file_says_why_it_was_not_taken(
     init: Init, tmp_path: Path, failing: int, tool: str
 ) -> None:
     told, _ = init("modbus", COLD, PLC_HOST="{host}", PLC_PORT="{port}", FAILING=str(failing))
-    assert re.search(rf"^  read_holding +{tool} \(proven: ", told, re.MULTILINE), told
-    reason = "# tried before: read_holding_registers: the device saw nothing of it; it failed: "
+    assert re.search(rf"^  read_input +{tool} \(proven: ", told, re.MULTILINE), told
+    reason = "# tried before: read_input_registers: the device saw nothing of it; it failed: "
     assert (reason in (tmp_path / "otmcp.toml").read_text(encoding="utf-8")) == (failing > 1)
 
 
