@@ -555,7 +555,8 @@ class Call(CallJudgement):
     """One tool call.
 
     ``operation`` and ``inputs``: what the steps asked for; ``tool`` and ``arguments``: what the subject file makes of it.
-    ``altered``: how the steps changed these arguments. ``taken``: the handles of earlier calls that they hold, by ``step.name``. ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all; ``frames_sha256`` is the digest of these frames as they were,
+    ``altered``: how the steps changed these arguments. ``taken``: the handles of earlier calls that they hold, by ``step.name``. ``group``: calls of the same number were made at the same time.
+    ``starved_ns``: of a late answer, for how long the machine kept the adapter, or the kit, waiting for a processor meanwhile. ``frames``: where the envelope does not say it all; ``frames_sha256`` is the digest of these frames as they were,
     before any was cut off. ``envelope``: of the answer; with frames it was read from them. ``latency_ms`` and ``error_code`` are not in the
     file: they follow from the times and the envelope. Nor is ``variant`` where it is ``rw``, ``native`` and ``listed`` where they are true.
     """
@@ -569,6 +570,7 @@ class Call(CallJudgement):
     group: Count
     sent_ns: Nanoseconds
     received_ns: Nanoseconds | None
+    starved_ns: NotRequired[Nanoseconds]
     latency_ms: float | None
     envelope: dict[str, Any] | None
     native: bool

@@ -153,6 +153,7 @@ def _exchange(call: Mapping[str, Any]) -> Exchange | None:
         response=response,
         sent_ns=call["sent_ns"],
         received_ns=call["received_ns"],
+        starved_ns=call.get("starved_ns", 0),
         failure=failure,
         client_complaint=complaint,
     )

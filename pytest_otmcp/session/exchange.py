@@ -34,6 +34,8 @@ class Exchange:
         response: the response frame as read, or None when none came.
         sent_ns: monotonic time just before the request was written.
         received_ns: monotonic time at which the response, or the refusal by HTTP status, had been read, or None.
+        starved_ns: time for which the machine kept the subject, or the kit, waiting for a processor meanwhile; 0 for less than
+            :data:`~.starvation.LOOK_S`.
         failure: why there is no usable response (``timeout``, ``connection_closed``, ``cancelled``, or one of :data:`REFUSALS`), or
             None.
         client_complaint: what the official SDK client objected to in the response, or None.
@@ -47,6 +49,7 @@ class Exchange:
     response: bytes | None = None
     sent_ns: int = 0
     received_ns: int | None = None
+    starved_ns: int = 0
     failure: str | None = None
     client_complaint: str | None = None
     asked_ns: int = 0
@@ -71,6 +74,7 @@ def joined(exchanges: Sequence[Exchange], arguments: Mapping[str, object]) -> Ex
         arguments=dict(arguments),
         request=b"\n".join(exchange.request for exchange in exchanges),
         sent_ns=first.sent_ns,
+        starved_ns=sum(exchange.starved_ns for exchange in exchanges),
         asked_ns=first.asked_ns,
     )
 

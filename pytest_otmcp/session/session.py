@@ -12,11 +12,11 @@ import asyncio
 import hashlib
 import json
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from mcp import Client, MCPError
 from mcp.types import CallToolResult, RequestParamsMeta, Tool
@@ -278,10 +278,7 @@ class McpSession:
         asked, person = dict(arguments), self._options.person
         brought = {} if person is None else person.brought()
         exchange = await self._exchange(
-            tool,
-            asked,
-            lambda client, meta: client.call_tool(tool, asked, read_timeout_seconds=timeout_s, meta=meta, **brought),
-            cancel,
+            tool, asked, lambda client, meta: client.call_tool(tool, asked, meta=meta, **brought), timeout_s, cancel
         )
         if person is not None:
             person.left_open(exchange.response)
@@ -344,28 +341,25 @@ class McpSession:
 
     async def read_resource(self, uri: str, *, timeout_s: float) -> Exchange:
         """Read a resource and return the recorded exchange, as :meth:`call` does."""
-
-        async def read(client: Client, meta: RequestParamsMeta) -> object:
-            async with asyncio.timeout(timeout_s):
-                return await client.read_resource(uri, meta=meta)
-
-        return await self._exchange(uri, {}, read)
+        return await self._exchange(uri, {}, lambda client, meta: client.read_resource(uri, meta=meta), timeout_s)
 
     async def _exchange(
         self,
         tool: str,
         arguments: Mapping[str, object],
-        request: Callable[[Client, RequestParamsMeta], Awaitable[object]],
+        request: Callable[[Client, RequestParamsMeta], Coroutine[Any, Any, object]],
+        timeout_s: float,
         cancel: asyncio.Event | None = None,
     ) -> Exchange:
         async with nullcontext() if self._options.pace is None else self._options.pace.call():
-            return await self._recorded(tool, arguments, request, cancel)
+            return await self._recorded(tool, arguments, request, timeout_s, cancel)
 
     async def _recorded(
         self,
         tool: str,
         arguments: Mapping[str, object],
-        request: Callable[[Client, RequestParamsMeta], Awaitable[object]],
+        request: Callable[[Client, RequestParamsMeta], Coroutine[Any, Any, object]],
+        timeout_s: float,
         cancel: asyncio.Event | None,
     ) -> Exchange:
         measured = Measurement()
@@ -373,13 +367,16 @@ class McpSession:
         answer: object = None
         client = self._client
         asked_ns = returned_ns = time.monotonic_ns()
+        starved_s = 0.0
         if client is None or self.died:
             failure = "connection_closed"
         else:
+            patience = Patience(timeout_s)
+            if (pid := self.process_pid) is not None:
+                patience.watch([pid])
             token = self._recorder.begin(measured)
             try:
-                asking = request(client, cast(RequestParamsMeta, {META_KEY: token}))
-                answer = await (asking if cancel is None else _unless(cancel, asking))
+                answer = await _answer(request(client, cast(RequestParamsMeta, {META_KEY: token})), patience, cancel)
             except CancelledByKit:
                 if measured.response is None:
                     failure = CANCELLED
@@ -396,6 +393,8 @@ class McpSession:
             finally:
                 returned_ns = time.monotonic_ns()
                 self._recorder.end(token)
+                if returned_ns - asked_ns >= LOOK_S * 1e9:
+                    starved_s = patience.starved_s()
         self._is_silent = failure == "timeout"
         schema = self._output_schemas.get(tool)
         if isinstance(answer, CallToolResult) and not answer.is_error and schema and measured.response is not None:
@@ -407,6 +406,7 @@ class McpSession:
             response=measured.response,
             sent_ns=measured.sent_ns,
             received_ns=measured.received_ns,
+            starved_ns=round(starved_s * 1e9) if starved_s >= LOOK_S else 0,
             failure=failure,
             client_complaint=complaint,
             asked_ns=asked_ns,
@@ -537,22 +537,25 @@ class CancelledByKit(Exception):
     """The kit has cancelled a call."""
 
 
-async def _unless(cancel: asyncio.Event, asking: Awaitable[object]) -> object:
-    """Return what is awaited, unless the event comes first.
+async def _answer(asking: Coroutine[Any, Any, object], patience: Patience, cancel: asyncio.Event | None) -> object:
+    """Return what is awaited, unless the time is over or the event comes first; then it has been cancelled.
 
     Raises:
-        CancelledByKit: it came first; what was awaited has been cancelled.
+        CancelledByKit: the event came first.
+        TimeoutError: the time was over.
     """
     # A task of its own: the client's cancel scopes must not see the cancellation of their caller.
     answer = asyncio.ensure_future(asking)
-    waiting = asyncio.ensure_future(cancel.wait())
+    awaited = {answer} if cancel is None else {answer, asyncio.ensure_future(cancel.wait())}
+    done: set[asyncio.Future[object]] = set()
     try:
-        await asyncio.wait({answer, waiting}, return_when=asyncio.FIRST_COMPLETED)
+        while not done and (left := patience.left_s()) > 0:
+            done, _ = await asyncio.wait(awaited, timeout=left, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        waiting.cancel()
+        for task in awaited:
+            task.cancel()
         if not answer.done():
-            answer.cancel()
             await asyncio.wait({answer})
-    if answer.cancelled():
-        raise CancelledByKit
-    return answer.result()
+    if not answer.cancelled():
+        return answer.result()
+    raise CancelledByKit if done else TimeoutError

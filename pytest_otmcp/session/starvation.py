@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Coroutine, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -40,8 +41,11 @@ class Patience:
 
     def left_s(self) -> float:
         """Look again; return what is left, 0 or less when the time is over."""
-        starved = sum(thread.waited_s() for thread in self._threads)
-        return self._until + min(starved, self._starved_s) - time.monotonic()
+        return self._until + self.starved_s() - time.monotonic()
+
+    def starved_s(self) -> float:
+        """Look again; return how long they have waited for a processor, as far as it is granted."""
+        return min(sum(thread.waited_s() for thread in self._threads), self._starved_s)
 
 
 async def finish_within(patience: Patience, waiting: Coroutine[Any, Any, _T]) -> _T:
@@ -71,13 +75,15 @@ class _Thread:
     _looked: float = field(default_factory=time.monotonic)
 
     def __post_init__(self) -> None:
-        self.waited_s()
+        # Whether it waits now is not looked at: every call of an adapter begins with this.
+        with suppress(OSError, IndexError, ValueError):
+            self._ran_ns, self._began_ns = self._counted()
 
     def waited_s(self) -> float:
         """Return how long it has waited; of one that has ended, or where the kernel does not count, what was known last."""
         now = time.monotonic()
         try:
-            ran_ns, waited_ns = map(int, self._read("schedstat").split()[:2])
+            ran_ns, waited_ns = self._counted()
             ready = self._read("stat").rpartition(")")[2].split()[0] == "R"
         except (OSError, IndexError, ValueError):
             return self._waited_ns / 1e9
@@ -88,6 +94,10 @@ class _Thread:
         self._ran_ns, self._waited_ns = ran_ns, waited_ns - self._began_ns
         # The kernel adds a wait when it is over.
         return self._waited_ns / 1e9 + now - self._looked
+
+    def _counted(self) -> tuple[int, int]:
+        ran_ns, waited_ns = map(int, self._read("schedstat").split()[:2])
+        return ran_ns, waited_ns
 
     def _read(self, name: str) -> str:
         return Path(f"/proc/{self.number}/{name}").read_text(encoding="utf-8", errors="replace")

@@ -201,6 +201,10 @@ class Reply:
 
 def observe(exchange: Exchange, expected: Expectation) -> Reply:
     """Read the frames of an exchange strictly and note every fault of the reply as such."""
+    limit_ms = expected.calls * expected.deadline_s * 1000
+    if exchange.latency_ms is None or exchange.latency_ms <= limit_ms:
+        # Nothing has to be excused, and nothing of it kept.
+        exchange = replace(exchange, starved_ns=0)
     silent = Reply(
         adapter=expected.adapter,
         variant=expected.variant,
@@ -245,7 +249,7 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
             *faults,
             *_contradictory(exchange, message),
             *_client_faults(exchange, message),
-            *_timing_faults(exchange, expected.deadline_s, expected.calls),
+            *_timing_faults(exchange, expected.deadline_s, limit_ms),
         ),
         native=native,
     )
@@ -388,9 +392,9 @@ def _client_faults(exchange: Exchange, message: Mapping[str, object]) -> list[Fi
     ]
 
 
-def _timing_faults(exchange: Exchange, deadline_s: float, calls: int) -> list[Finding]:
+def _timing_faults(exchange: Exchange, deadline_s: float, limit_ms: float) -> list[Finding]:
     latency_ms = exchange.latency_ms
-    if latency_ms is None or latency_ms <= calls * deadline_s * 1000:
+    if latency_ms is None or latency_ms - exchange.starved_ns / 1e6 <= limit_ms:
         return []
     return [
         Finding(

@@ -55,6 +55,8 @@ def _call(judged: Judged, *, with_frames: bool) -> Call:
         "sent_ns": exchange.sent_ns,
         "received_ns": exchange.received_ns,
     }
+    if exchange.starved_ns:
+        stored["starved_ns"] = exchange.starved_ns
     if judged.altered is not None:
         stored["altered"] = judged.altered.as_record()
     if reply.taken:

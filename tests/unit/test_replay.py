@@ -59,6 +59,12 @@ def test_a_history_that_nobody_has_changed_is_confirmed(good: Record, failed: Re
     assert judged(failed) == []
 
 
+def test_what_excuses_a_late_answer_is_read_from_the_record(good: Record) -> None:
+    answer_late(good)
+    call(good, "M3", 1)["starved_ns"] = 2 * SECOND_NS
+    assert "deadline_missed" not in "\n".join(judged(good))
+
+
 # -- changes in more than one place ------------------------------------------------------------------------------------------
 
 

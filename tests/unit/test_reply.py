@@ -28,6 +28,7 @@ def observed(
         request=b"{}",
         response=response,
         received_ns=None if response is None else more.pop("received_ns", 1_000_000),
+        starved_ns=more.pop("starved_ns", 0),
         failure=more.pop("failure", None),
         client_complaint=more.pop("client_complaint", None),
     )
@@ -184,6 +185,17 @@ def test_an_answer_after_the_deadline_is_late_and_still_read() -> None:
     assert codes(reply) == ["deadline_missed"]
     assert "answered after 1200 ms, deadline 1 s" in reply.faults[0].message
     assert reply.success is True
+
+
+def test_the_time_without_a_processor_is_no_part_of_a_late_answer() -> None:
+    late_ns = 1_200_000_000
+    excused = observed(result("Wrote 5"), received_ns=late_ns, starved_ns=200_000_000)
+    assert (codes(excused), excused.exchange.starved_ns) == ([], 200_000_000)
+    assert codes(observed(result("Wrote 5"), received_ns=late_ns, starved_ns=199_000_000)) == ["deadline_missed"]
+
+
+def test_of_an_answer_in_time_nothing_is_kept_that_would_excuse_it() -> None:
+    assert observed(result("Wrote 5"), received_ns=900_000_000, starved_ns=500_000_000).exchange.starved_ns == 0
 
 
 def test_each_of_several_calls_has_the_deadline() -> None:

@@ -19,6 +19,7 @@ import pytest
 from pytest_otmcp.core.errors import KitError, SubjectError
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.session import starvation
+from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.session.process import StopReport, SubjectProcess, subject_environment
 from pytest_otmcp.session.session import McpSession, SessionOptions
 from pytest_otmcp.session.starvation import Patience
@@ -40,12 +41,16 @@ time.sleep(float(sys.argv[1]))
 
 SERVES_LATE = """
 import json, sys, time
-time.sleep(float(sys.argv[1]))
+late = float(sys.argv[1])
+if not sys.argv[2:]:
+    time.sleep(late)
 about = {"protocolVersion": "2025-06-18", "capabilities": {"tools": {}}, "serverInfo": {"name": "late", "version": "1"}}
 for line in sys.stdin:
     asked = json.loads(line)
     if "id" in asked:
-        result = about if asked["method"] == "initialize" else {"tools": []}
+        result = about if asked["method"] == "initialize" else {"tools": [], "content": []}
+        if asked["method"] == "tools/call":
+            time.sleep(late)
         print(json.dumps({"jsonrpc": "2.0", "id": asked["id"], "result": result}), flush=True)
 """
 
@@ -114,6 +119,30 @@ def test_a_process_that_is_late_for_another_reason_has_no_more_time(kernel: Kern
     kernel(0.0)
     with pytest.raises(SubjectError, match="handshake"):
         asyncio.run(opened())
+
+
+async def called() -> Exchange:
+    """Call a tool that answers late."""
+    command = [sys.executable, "-c", SERVES_LATE, str(LATE_S), "calls"]
+    session = McpSession(command, {}, None, SessionOptions(start_timeout_s=PATIENCE_S, era="legacy"))
+    await session.open()
+    try:
+        return await session.call("any", {}, timeout_s=START_S)
+    finally:
+        await session.close()
+
+
+def test_time_without_a_processor_is_not_held_against_an_adapter_that_answers(kernel: Kernel) -> None:
+    kernel(1.0)
+    exchange = asyncio.run(called())
+    assert exchange.failure is None
+    assert LATE_S * 0.9 < exchange.starved_ns / 1e9 <= (exchange.returned_ns - exchange.asked_ns) / 1e9
+
+
+def test_an_adapter_that_answers_late_for_another_reason_is_not_waited_for(kernel: Kernel) -> None:
+    kernel(0.0)
+    exchange = asyncio.run(called())
+    assert (exchange.failure, exchange.starved_ns) == ("timeout", 0)
 
 
 @pytest.fixture
