@@ -8,10 +8,10 @@ import ipaddress
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from ..core import AdapterError, AliasName, Call, NameMap, Nothing, device_text, tool
-from ..core.process_data import decode, encode
+from ..core.process_data import DataType, decode, encode, width
 from .controller import Controller
 from .gsdml import BadGsdml, DeviceFile, parse
 from .maps import Alias, ModuleEntry
@@ -51,6 +51,10 @@ _LARGEST_FILE = 5_000_000
 _SIGNAL_S = 3
 """Seconds for which a station shows itself after one Signal."""
 _NAME = re.compile(r"(?=.{1,240}$)[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?(\.[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?)*")
+_HELD = re.compile(
+    r"(?P<slot>\d+)\.(?P<subslot>\d+)\.(?:output|record\.(?P<index>\d+))(?:\.(?P<at>\d+))?(?::(?P<kind>\w+))?"
+)
+"""A byte, or a value of a type, of the outputs or of a record: the second part of the name of a target."""
 _NO_NAME = re.compile(r"port-\d{3}.*|\d+\.\d+\.\d+\.\d+")
 
 
@@ -297,6 +301,22 @@ class Tools:
 
         held = await self._controller.drive(call, alias.device_name, place, changed)
         return self._value(arguments.alias, alias, held[alias.offset : alias.end])
+
+    async def present(self, call: Call, target: str) -> object:
+        """Return what a target of :meth:`Call.changes` holds; None for the name or the addresses of a station, which are no numbers."""
+        where, _, held = target.partition("/")
+        parts = _HELD.fullmatch(held)
+        if parts is None:
+            return None
+        place = int(parts["slot"]), int(parts["subslot"])
+        if parts["index"] is None:
+            content = await self._controller.outputs(call, where, place)
+        else:
+            content = await self._controller.read(call, where, place, int(parts["index"]))
+        at, kind = int(parts["at"] or 0), cast(DataType, parts["kind"] or "UINT8")
+        if len(content) < at + width(kind):
+            raise AdapterError("type_mismatch", f"there are {len(content)} bytes")
+        return decode(content[at : at + width(kind)], kind)["value"]
 
     @tool("profinet.set_name", writes=True)
     async def set_device_name(self, call: Call, arguments: SetName) -> NameSet:
