@@ -31,14 +31,16 @@ def join(user: int, network: int) -> None:
 
 
 def enter_new() -> None:
-    """Enter a new user namespace, as who one is, and a new network namespace. This process must have one thread.
+    """Enter a new user namespace, as its root, and a new network namespace. This process must have one thread.
+
+    Root, so that a program that joins keeps its capabilities when it is executed, packet sockets among them (capabilities(7)).
 
     Raises:
         OSError: this machine does not let this user have one.
     """
     user, group = os.geteuid(), os.getegid()
     _call("unshare", _USER, step="a user namespace")
-    for name, line in (("setgroups", "deny"), ("uid_map", f"{user} {user} 1"), ("gid_map", f"{group} {group} 1")):
+    for name, line in (("setgroups", "deny"), ("uid_map", f"0 {user} 1"), ("gid_map", f"0 {group} 1")):
         with open(f"/proc/self/{name}", "w", encoding="ascii") as file:
             file.write(line)
     unshare_network()
