@@ -406,7 +406,7 @@ class McpSession:
             response=measured.response,
             sent_ns=measured.sent_ns,
             received_ns=measured.received_ns,
-            starved_ns=round(starved_s * 1e9) if starved_s >= LOOK_S else 0,
+            starved_ns=round(starved_s * 1e9),
             failure=failure,
             client_complaint=complaint,
             asked_ns=asked_ns,

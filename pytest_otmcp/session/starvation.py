@@ -44,8 +44,9 @@ class Patience:
         return self._until + self.starved_s() - time.monotonic()
 
     def starved_s(self) -> float:
-        """Look again; return how long they have waited for a processor, as far as it is granted."""
-        return min(sum(thread.waited_s() for thread in self._threads), self._starved_s)
+        """Look again; return how long they have waited for a processor, as far as it is granted; 0 for less than :data:`LOOK_S`."""
+        starved_s = sum(thread.waited_s() for thread in self._threads)
+        return 0.0 if starved_s < LOOK_S else min(starved_s, self._starved_s)
 
 
 async def finish_within(patience: Patience, waiting: Coroutine[Any, Any, _T]) -> _T:
