@@ -136,7 +136,7 @@ def test_time_without_a_processor_is_not_held_against_an_adapter_that_answers(ke
     kernel(1.0)
     exchange = asyncio.run(called())
     assert exchange.failure is None
-    assert LATE_S * 0.9 < exchange.starved_ns / 1e9 <= (exchange.returned_ns - exchange.asked_ns) / 1e9
+    assert exchange.starved_ns / 1e9 > LATE_S * 0.9
 
 
 def test_an_adapter_that_answers_late_for_another_reason_is_not_waited_for(kernel: Kernel) -> None:
