@@ -32,7 +32,7 @@ ADAPTERS = {"modbus": "modbus", "modbus_async": "modbus", "mqtt": "mqtt", "opcua
 """Each adapter, and its protocol."""
 
 VIOLATED = {
-    "modbus": "ADR-004 MCP-004 MCP-005 RD-004 RD-005 TMO-001 TMO-003 WR-003 WR-005 WR-009 WR-010",
+    "modbus": "ADR-004 MCP-004 MCP-005 RD-004 RD-005 TMO-001 TMO-003 WR-003 WR-005 WR-009",
     "modbus_async": "ADR-004 MCP-004 MCP-005 RD-004 RD-005 TMO-001 WR-003 WR-005 WR-009",
     "mqtt": "ADR-006 ADR-007 ENC-006 ERR-004 INJ-002 MCP-002 MCP-004 MCP-005 MQT-001 MQT-002 MQT-004 RD-004 REC-002 REC-004 WR-003 WR-005 WR-010",
     "opcua": "ADR-003 INJ-002 MCP-002 MCP-004 MCP-005 OUA-001 REC-001 WR-005",
