@@ -7,6 +7,7 @@ What is judged again, and what is believed:
   clock against the kit's. It is believed that its text block said the same and that ``isError`` agreed.
 - Frames that are cut off, are no UTF-8, or held a secret cannot be read again: envelope and faults of such a reply are believed.
 - The handles that a call took from the answers of earlier ones are believed: the connect step is no call of the record.
+- For how long the machine kept adapter or kit waiting for a processor is believed: the kernel alone knew it.
 - The outputs that a Python function of a subject returned are believed; everything that follows from them is judged again.
 - Tool and arguments must be those that the stored binding makes of what the steps ask for; outputs are read anew.
 """
