@@ -1,19 +1,39 @@
-"""SEC: what a caller may do, and where a call may lead."""
+"""SEC: what a caller may do, where a call may lead, and by which account."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from pytest_otmcp.core.credentials import USER
+from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked
+from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.protocol import ACCOUNT, SECURE
 from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.check import Checks
+from pytest_otmcp.trial.expectations import failed
 from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
 from .fenced import BEYOND, FORBIDDEN, another, beyond, fenced, is_written, refused, taken, written
-from .steps import NOTHING_SENT, a_read_works, citing, exercise, faulty, nothing_arrived, refusal, since, witness
+from .steps import (
+    CONNECTION_FAULTS,
+    NOTHING_SENT,
+    a_read_works,
+    answers_again,
+    citing,
+    exercise,
+    faulty,
+    nothing_arrived,
+    read,
+    refusal,
+    since,
+    witness,
+)
 
 __all__ = ["TASKS"]
 
@@ -23,6 +43,8 @@ _CLAIMS = {"role": "engineer", "user": "admin", "is_admin": True, "approved": Tr
 """Arguments by which a caller makes itself more than it is."""
 _DENIED = (*FORBIDDEN, "writes_disabled", "auth_failed")
 """Codes for a caller who may write nothing."""
+_MOST_READS = 3
+"""Until the device has denied one: after an outage some adapters need a call that fails to connect again."""
 _LEADING = (("host", "port"), ("ip", "port"), ("url",), ("endpoint",), ("broker",), ("server",), ("device_path",))
 """Arguments that might name another endpoint, as they might be given together."""
 
@@ -122,3 +144,64 @@ def _elsewhere(at: Rig, names: tuple[str, ...]) -> dict[str, object]:
     values["port"] = int(places["port"]) if places.get("port", "").isdigit() else None
     given = {name: values[name] for name in names}
     return {} if None in given.values() or "" in given.values() else given
+
+
+@TASKS.every_protocol(
+    "SEC-003", "The adapter has one account, and goes on with no other.", launch=SECURE, facets=ACCOUNT
+)
+async def one_account(run: Repetition, at: Rig, secure: Rig) -> None:
+    """Read at a device that lets in the adapter's account alone; read while it lets in everybody else, with any account or none; read while it lets
+    in the account, which may not read any more; read as at first.
+
+    Said: success; a failure, best with `auth_failed` or `access_denied`; a failure, best with `access_denied`, where the device denied it in this
+        call; success.
+    Seen: logins of the account, and no other.
+    Why: an adapter that goes on as another user, or as nobody, does what nobody has allowed it, and the device's log names the wrong one.
+    """
+    await _let_in(run, secure)
+    begun = len(await secure.journal())
+    await secure.device.poke(account="refused")
+    await _control(run, secure)
+    _, reply = await read(run, secure)
+    _is_told(run, reply, "auth_failed", "access_denied")
+    _no_other(run, reply, (await secure.journal())[begun:])
+    await _let_in(run, secure)
+    await secure.device.poke(account="denied")
+    if not (secure.subject.claims("recovery") and secure.subject.reconnects):
+        await secure.fresh_session()
+    for _ in range(_MOST_READS):
+        _, reply = await read(run, secure)
+        if any(entry["kind"] == "denied" for entry in since(reply, await secure.journal())):
+            _is_told(run, reply, "access_denied")
+            break
+    await _let_in(run, secure)
+
+
+async def _let_in(run: Repetition, at: Rig) -> None:
+    """Let in the account alone, and read: a success."""
+    begun = len(await at.journal())
+    await at.device.poke(account="required")
+    await _control(run, at)
+    reply = await answers_again(run, at, requirement="SEC-003")
+    _no_other(run, reply, (await at.journal())[begun:])
+
+
+async def _control(run: Repetition, at: Rig) -> None:
+    """Read, whatever comes of it: the device has cut the connection."""
+    asked = exercise(at).read(run.rng)
+    await at.call(asked.operation, role="control", **asked.inputs)
+
+
+def _is_told(run: Repetition, reply: Reply, *codes: str) -> None:
+    """Expect a failure, and advise one of these codes."""
+    if run.fails(reply, "auth_failed", "access_denied", *CONNECTION_FAULTS, requirement="SEC-003"):
+        found = [one for one in failed(reply, *codes, requirement="SEC-003") if one.code == "wrong_error_code"]
+        run.judge(reply, [replace(one, strength="SHOULD") for one in found])
+
+
+def _no_other(run: Repetition, reply: Reply, entries: Entries) -> None:
+    others = {entry.get("user") for entry in entries if entry["kind"] == "login"} - {USER}
+    if others:
+        shown = " and ".join("a client without an account" if user is None else repr(user) for user in others)
+        message = f"{reply.label}: the device should have seen logins of {USER!r} alone, it saw {shown}"
+        run.witnessed([Finding(code="other_account", message=message, requirement="SEC-003")])

@@ -17,6 +17,7 @@ from pytest_otmcp.wire.mqtt.properties import Property
 from pytest_otmcp.wire.mqtt.sparkplug import message_fields
 from pytest_otmcp.wire.mqtt.topics import matches, split_shared
 
+from ..accounts import Accounts
 from ..journal import Journal, Origin
 from .faults import FaultPlan
 from .session import Delivery, Message, Session, Subscription
@@ -75,6 +76,7 @@ class Broker:
     """The broker, which routes messages between sessions.
 
     Attributes:
+        accounts: who gets in.
         counted: how many of the kit's messages were sent on each connection; None while each of them is an entry of its own.
         subscribed: is told a topic filter when its SUBACK has been sent.
     """
@@ -83,6 +85,7 @@ class Broker:
         self.journal = journal
         self.limits = limits or Limits()
         self.faults = FaultPlan([])
+        self.accounts = Accounts(journal)
         self.retained: dict[str, Message] = {}
         self.sessions: dict[str, Session] = {}
         self.counted: Counter[Receiver] | None = None

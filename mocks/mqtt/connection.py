@@ -34,7 +34,10 @@ from .session import Delivery, Session
 
 __all__ = ["Connection"]
 
+BAD_USER_NAME_OR_PASSWORD = 0x86
 DISCONNECT_WITH_WILL = 0x04
+FAILURE = 0x80
+NOT_AUTHORIZED = 0x87
 KEEP_ALIVE_TIMEOUT = 0x8D
 SESSION_TAKEN_OVER = 0x8E
 TOPIC_ALIAS_INVALID = 0x94
@@ -289,11 +292,19 @@ class Connection(asyncio.Protocol):
                 return
             if rule is not None and rule.reason_code is not None and isinstance(packet, Subscribe):
                 packet = _granting(packet, rule.reason_code)
-            answer, afterwards = handle(self._broker, self._session, self._level, packet)
+            answer, afterwards = self._handled(packet)
             if rule is None:
                 self._answer(asked, answer, afterwards)
             else:
                 self._misbehave(rule, asked, answer, afterwards)
+
+    def _handled(self, packet: Packet) -> tuple[Packet | None, Afterwards]:
+        assert self._session is not None
+        about = isinstance(packet, Publish | Subscribe)
+        if about and self.origin == "client" and self._broker.accounts.denies(self.number):
+            # 3.1.1 cannot refuse a PUBLISH: it is acknowledged and not handled.
+            return refusal(packet, NOT_AUTHORIZED if self._level == MQTT_5 else FAILURE), None
+        return handle(self._broker, self._session, self._level, packet)
 
     def _refused(self, packet: Packet, rule: Rule) -> tuple[Packet | None, Afterwards]:
         """Return the answer that refuses a packet; the other filters of a SUBSCRIBE than the rule's are granted."""
@@ -344,10 +355,7 @@ class Connection(asyncio.Protocol):
             self._accept(packet, asked)
         elif rule.refuses:
             assert rule.reason_code is not None
-            known = {} if packet.protocol_level == MQTT_5 else _AS_V311
-            code = known.get(rule.reason_code, rule.reason_code)
-            self.send(Connack(session_present=False, reason_code=code), answers=asked)
-            self.end("fault plan")
+            self._turn_away(rule.reason_code, asked, "fault plan")
         elif rule.close or rule.reset:
             self._cut(reset=rule.reset)
         else:
@@ -356,6 +364,12 @@ class Connection(asyncio.Protocol):
             if not rule.no_answer:
                 self._loop.call_later(rule.delay_s, self._accept_late, packet, asked, rule)
 
+    def _turn_away(self, code: int, asked: int, reason: str) -> None:
+        """Refuse a CONNECT with a reason of MQTT 5."""
+        known = {} if self._level == MQTT_5 else _AS_V311
+        self.send(Connack(session_present=False, reason_code=known.get(code, code)), answers=asked)
+        self.end(reason)
+
     def _accept_late(self, packet: Connect, asked: int, rule: Rule) -> None:
         if self._end_reason is None:
             self._held = False
@@ -363,6 +377,10 @@ class Connection(asyncio.Protocol):
             self._advance()
 
     def _accept(self, packet: Connect, asked: int, rule: Rule | None = None) -> None:
+        accounts = self._broker.accounts
+        if self.origin == "client" and not accounts.lets_in(self.number, packet.username, packet.password):
+            self._turn_away(BAD_USER_NAME_OR_PASSWORD, asked, "not let in")
+            return
         session, connack = accept(self._broker, packet)
         if session is None:
             self.send(connack, answers=asked)

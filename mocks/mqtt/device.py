@@ -14,6 +14,7 @@ from pytest_otmcp.wire.mqtt.packets import Publish
 from pytest_otmcp.wire.mqtt.sparkplug import message_fields
 from pytest_otmcp.wire.mqtt.topics import matches
 
+from ..accounts import Accounts
 from ..device import Device
 from ..endpoint import OpenEndpoint
 from ..network import Network
@@ -64,6 +65,7 @@ class MqttDevice(Device):
 
     def secure(self, folder: Path) -> None:
         self.network.secure(folder)
+        self.broker.accounts = Accounts(self.journal, folder)
 
     async def aclose(self) -> None:
         await self.edge_node.aclose()
@@ -108,6 +110,9 @@ class MqttDevice(Device):
         elif "disconnect" in params:
             client_id, code = disconnection(params["disconnect"])
             self.broker.disconnect(client_id, code)
+        elif "account" in params:
+            self.broker.accounts.become(params["account"])
+            self.network.close()
         elif "edge_node" in params:
             await self.edge_node.poke(params["edge_node"])
         else:
@@ -185,6 +190,7 @@ class MqttDevice(Device):
     async def reset(self) -> None:
         self.broker.faults = FaultPlan([])
         self.network.restored()
+        self.broker.accounts.restored()
         self.broker.forget()
         self._answering.clear()
         await self.edge_node.reset()

@@ -12,6 +12,7 @@
                  until the broker is reset, as a sensor does that reports often
 ``command``      ``{"group", "edge_node", "device": null, "metrics": […]}``: a Sparkplug NCMD, with a device a DCMD, as a host sends
                  them. Metrics as in ``sparkplug_values``
+``account``      who gets in: :mod:`..accounts`
 ``disconnect``   ``{"client_id": null, "reason_code": 139}``: ends the connection of one client, or of all
 ===============  =======================================================================================================
 """

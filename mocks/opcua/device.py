@@ -10,6 +10,7 @@ from typing import Any
 
 from asyncua import ua
 
+from ..accounts import Accounts
 from ..device import Device
 from ..endpoint import OpenEndpoint
 from ..network import Network
@@ -37,7 +38,9 @@ class OpcUaDevice(Device):
 
     def __init__(self, server: PlantServer, plant: Plant) -> None:
         super().__init__()
-        self._state = DeviceState(journal=self.journal, plant=plant, network=Network(self.journal))
+        self._state = DeviceState(
+            journal=self.journal, plant=plant, network=Network(self.journal), accounts=Accounts(self.journal)
+        )
         self._server = server
         self._extra_nodes = ExtraNodes(server, plant)
         self._namespaces = Namespaces(server, self._state)
@@ -45,6 +48,7 @@ class OpcUaDevice(Device):
 
     def secure(self, folder: Path) -> None:
         self._certificates = folder
+        self._state.accounts = Accounts(self.journal, folder)
         self._state.certificate = USUAL
         self._server.secure(presented(folder, USUAL), policies(USUAL))
 
@@ -110,6 +114,7 @@ class OpcUaDevice(Device):
         ``{"namespaces": ["urn:a"]}``                       namespaces before the plant's: :class:`Namespaces`
         ``{"network": "black_hole"}``                       see :mod:`..network`
         ``{"tls": "expired"}``                              another certificate: :mod:`.certificates`
+        ``{"account": "required"}``                         who gets in: :mod:`..accounts`
         ==================================================  ===========================================================
         """
         if "tls" in params:
@@ -117,7 +122,10 @@ class OpcUaDevice(Device):
             return
         if self._state.network.poke(params):
             return
-        if "limits" in params:
+        if "account" in params:
+            self._state.accounts.become(params["account"])
+            self._state.network.close()
+        elif "limits" in params:
             self._state.limits = self._state.limits.changed(params["limits"])
             await self._advertise()
         elif "create" in params:
@@ -155,6 +163,7 @@ class OpcUaDevice(Device):
         self._state.limits = Limits()
         self._state.subscribe("normal")
         self._state.network.restored()
+        self._state.accounts.restored()
         if self._certificates is not None and self._state.certificate != USUAL:
             await self._present(USUAL)
         await self._state.close_abandoned_sessions()

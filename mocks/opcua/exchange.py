@@ -33,6 +33,7 @@ class Exchange:
 
     Attributes:
         service: its name, OPC 10000-4.
+        connection: its number.
         request_id: with which its answer is sent.
         rule: the fault that was applied.
         said: of the answer beside its bytes, for the journal.
@@ -46,7 +47,7 @@ class Exchange:
         self.rule: Rule = NOTHING
         self.said: dict[str, Any] = {}
         self._device = device
-        self._connection = connection
+        self.connection = connection
         self._chunks = chunks
         self._asked: int | None = None
         _current.set(self)
@@ -63,7 +64,7 @@ class Exchange:
             self.rule = self._device.faults.match(self.service, about)
         said: dict[str, Any] = {} if self.rule is NOTHING else {"fault": self.rule.action}
         for chunk in self._chunks:
-            self._asked = self._device.journal.frame(chunk, connection=self._connection, direction="in", **said)
+            self._asked = self._device.journal.frame(chunk, connection=self.connection, direction="in", **said)
         self._chunks.clear()
 
     async def suffer(self) -> Rule:
@@ -94,7 +95,7 @@ class Exchange:
         for chunk in Framer(chunk_length).feed(message):
             self._device.journal.frame(
                 chunk,
-                connection=self._connection,
+                connection=self.connection,
                 direction="out",
                 answers=self._asked if own else None,
                 **(self.said if own else {}),

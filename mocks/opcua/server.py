@@ -8,10 +8,12 @@ import socket
 from typing import Any
 
 from asyncua import Server, ua
+from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.binary_server_asyncio import BinaryServer
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 
+from .exchange import current
 from .processor import PlantProtocol
 from .session import PlantSession
 from .state import DeviceState
@@ -32,6 +34,20 @@ class _Internal(InternalServer):  # type: ignore[misc]
         return self.session_type(self, self.aspace, self.subscription_service, name, user=user, external=True)
 
 
+class _Users:
+    """Those whom the device lets in (``asyncua.server.user_managers``)."""
+
+    def __init__(self, owner: DeviceState) -> None:
+        self._owner = owner
+
+    def get_user(
+        self, _: InternalServer, username: Any = None, password: Any = None, certificate: Any = None
+    ) -> User | None:
+        """Return the user of a session that is being activated, None for one that does not get in."""
+        accepted = self._owner.accounts.lets_in(current().connection, username, password)
+        return User(role=UserRole.User) if accepted else None
+
+
 class PlantServer(Server):  # type: ignore[misc]
     """A server that serves a given listener, without security unless it is told otherwise."""
 
@@ -41,7 +57,7 @@ class PlantServer(Server):  # type: ignore[misc]
         self.set_server_name("OT-MCP mock plant")
         self._application_uri = _APPLICATION
         self.product_uri = _APPLICATION
-        # Nobody has a certificate here. Any user name and password is as good as none: an adapter may have been told some.
+        # Nobody has a certificate here. Without an account any user name and password is as good as none: an adapter may have been told some.
         self.set_identity_tokens([ua.AnonymousIdentityToken, ua.UserNameIdentityToken])
 
     def secure(self, files: tuple[Any, Any], policies: list[ua.SecurityPolicyType]) -> None:
@@ -64,6 +80,7 @@ class PlantServer(Server):  # type: ignore[misc]
         host, port = listener.getsockname()[:2]
         self.set_endpoint(f"opc.tcp://{host}:{port}")
         self.iserver.session_type = Session
+        self.iserver.user_manager = _Users(owner)
         await self.offer()
         await self.iserver.start()
         self.bserver = BinaryServer(self.iserver, host, port, self.limits)

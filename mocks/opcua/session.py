@@ -98,6 +98,8 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         """Return why a variable must not be accessed: no user may, or this user may not; None if it may."""
         if node not in self.aspace:
             return None
+        if node in self.device.plant.variables and self.device.accounts.denies(current().connection):
+            return int(Codes.BadUserAccessDenied)
         attributes = self.aspace[node].attributes
         for attribute, refusal in (
             (Ids.AccessLevel, Codes.BadNotReadable if right == ua.AccessLevel.CurrentRead else Codes.BadNotWritable),

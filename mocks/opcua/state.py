@@ -9,6 +9,7 @@ from typing import Protocol
 from asyncua import ua
 from asyncua.server.internal_session import InternalSession
 
+from ..accounts import Accounts
 from ..journal import Journal
 from ..network import Network
 from .faults import FaultPlan
@@ -37,6 +38,7 @@ class DeviceState:
         faults: the fault plan in force.
         limits: the limits of the server.
         network: the way between the server and its clients.
+        accounts: who gets in.
         certificate: name of the one that is presented; empty without security.
         subscriptions: one of :data:`SUBSCRIPTIONS`.
         sessions: the open sessions of clients.
@@ -48,6 +50,7 @@ class DeviceState:
     journal: Journal
     plant: Plant
     network: Network
+    accounts: Accounts
     certificate: str = ""
     subscriptions: str = "normal"
     faults: FaultPlan = field(default_factory=lambda: FaultPlan([]))

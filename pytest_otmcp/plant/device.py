@@ -56,6 +56,7 @@ class Device(Protocol):
         sessions: the sessions of adapters that it is there for; its journal says of each entry whose it is.
         credentials: what an adapter needs to reach it where it speaks the secure form of its protocol, as PEM: ``ca``, ``cert``, ``key``;
             empty where it does not.
+        account: ``user`` and ``password`` of the account that it knows there; empty where it knows none.
         walls: around its adapters, or None for none; its endpoints are where they lead. They are set before it is launched.
     """
 
@@ -64,6 +65,7 @@ class Device(Protocol):
     accepting_ns: int
     sessions: Sessions
     credentials: Mapping[str, bytes]
+    account: Mapping[str, str]
     walls: Walls | None
 
     @property

@@ -19,10 +19,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.credentials import USER
 from ..core.errors import ExhaustedError, KitError, MeddledError, SubjectError
 from ..core.exhaustion import exhausted
 from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
+from ..session.canary import new_canary
 from ..session.isolation import Walls
 from ..session.process import subject_environment
 from ..session.starvation import Patience, finish_within
@@ -116,7 +118,7 @@ class MockDevice:
         secure: it speaks the secure form of its protocol, with certificates made for it alone.
 
     Attributes:
-        credentials: see :class:`~pytest_otmcp.plant.device.Device`.
+        credentials, account: see :class:`~pytest_otmcp.plant.device.Device`.
         endpoints: see :class:`~pytest_otmcp.plant.device.Device`.
         running: True while it serves.
         faulty: see :class:`~pytest_otmcp.plant.device.Device`.
@@ -129,9 +131,14 @@ class MockDevice:
         self._name = protocol or mock
         self._certificates: tempfile.TemporaryDirectory[str] | None = None
         self.credentials: Mapping[str, bytes] = {}
+        self.account: Mapping[str, str] = {}
         if secure:
             self._certificates = tempfile.TemporaryDirectory(prefix="otmcp-")
-            self.credentials = pki.make(Path(self._certificates.name), protocols()[self._name].application)
+            folder, known = Path(self._certificates.name), protocols()[self._name]
+            self.credentials = pki.make(folder, known.application)
+            if known.accounts:
+                self.account = {"user": USER, "password": new_canary()}
+                (folder / "account.json").write_text(json.dumps([*self.account.values()]), encoding="utf-8")
         self._launcher: asyncio.subprocess.Process | None = None
         self._control: _Control | None = None
         self._stderr: asyncio.Task[bytes] | None = None

@@ -41,7 +41,7 @@ class TappedDevice:
         running: True while the tap hands on what comes.
         faulty: True while the tap delays what passes.
         accepting_ns: monotonic time since which it does.
-        credentials, walls: see :class:`~pytest_otmcp.plant.device.Device`.
+        credentials, account, walls: see :class:`~pytest_otmcp.plant.device.Device`.
     """
 
     def __init__(
@@ -61,6 +61,7 @@ class TappedDevice:
         self.accepting_ns = 0
         self.sessions = Sessions()
         self.credentials: Mapping[str, bytes] = {}
+        self.account: Mapping[str, str] = {}
         self.walls: Walls | None = None
 
     @property

@@ -21,9 +21,9 @@ ADAPTER = "client"
 """Origin of what the adapter under test caused in its session."""
 CYCLIC = frozenset({"cycle", "inputs"})
 """Kinds of entries about process data, which come and go without being asked for each time: who reads them has read the device."""
-HANDSHAKES = frozenset({"tls", "tls_open", "tls_ended", "tls_alert", "tls_plaintext"})
-"""Kinds of entries about a device's end of TLS (``mocks/tls``): none of them asks the device for anything. ``tls``, of the kit, presents
-another certificate."""
+HANDSHAKES = frozenset({"tls", "tls_open", "tls_ended", "tls_alert", "tls_plaintext", "account", "login", "denied"})
+"""Kinds of entries about a device's end of TLS and its account (``mocks/tls``, ``mocks/accounts``): none of them asks the device for anything.
+``tls``, of the kit, presents another certificate; ``account`` lets others in."""
 UNTOLD = object()
 """A fact (``OtProtocol.facts``) that a message refers to without telling it, as a number stands for a name agreed upon before."""
 _NOT_JUDGED = frozenset({"former", "stranger", "unknown"})

@@ -22,6 +22,7 @@ from .session_oracle import SessionOracle
 from .stamp import Stamp
 
 __all__ = [
+    "ACCOUNT",
     "ANY_READ",
     "BOUNDS",
     "CLIENT_CERTIFICATE",
@@ -81,6 +82,9 @@ LAUNCHES: Mapping[str, str] = {
 
 CLIENT_CERTIFICATE = "client_certificate"
 """Facet: the launch for the secure form of the protocol is given a certificate of the adapter's own."""
+
+ACCOUNT = "account"
+"""Facet: the launch for the secure form of the protocol is given the user and the password of an account of the device."""
 
 COMMANDS = "commands"
 """Facet: the adapter has tools with a vocabulary of their own, whose effect on the device the subject file states."""
@@ -342,6 +346,7 @@ class OtProtocol:
         delayed: conditions of the mock's fault rules, one each, that together concern every request that is answered.
         cable: it is spoken on Ethernet itself, so that its device and adapters have a cable of their own.
         secure: the protocol has a secure form, which its mock speaks.
+        accounts: its mock knows an account in that form, by user and password.
         application: URI of the mock's application, where certificates have one.
         policies: names of the security policies of which a client is told one, without those that are deprecated.
         discovery: kinds of entries by which a client finds out how to connect securely; none of them needs security.
@@ -389,6 +394,7 @@ class OtProtocol:
     delayed: tuple[Mapping[str, object], ...] = ({},)
     cable: bool = False
     secure: bool = False
+    accounts: bool = False
     application: str = ""
     policies: tuple[str, ...] = ()
     discovery: Collection[str] = ()
@@ -411,6 +417,7 @@ class OtProtocol:
         names = [GUARD, RECOVERY, BOUNDS, TIMES, GOVERNANCE, TOKENS, COMMANDS]
         names += [CONTROL_GUARD] if self.controls else []
         names += [SECURE, CLIENT_CERTIFICATE] if self.secure else []
+        names += [ACCOUNT] if self.accounts else []
         for name, operation in self.operations.items():
             names += [name, *(f"{name}.{optional}" for optional in operation.optional)]
             names += (
@@ -420,7 +427,7 @@ class OtProtocol:
 
     def is_voluntary(self, facet: str) -> bool:
         """Tell whether only a binding, a launch or a named command claims this facet: nothing is said of a subject that has none."""
-        if facet in (BOUNDS, CLIENT_CERTIFICATE, COMMANDS, CONTROL_GUARD, SECURE, GOVERNANCE, TIMES, TOKENS):
+        if facet in (ACCOUNT, BOUNDS, CLIENT_CERTIFICATE, COMMANDS, CONTROL_GUARD, SECURE, GOVERNANCE, TIMES, TOKENS):
             return True
         name, _, part = facet.partition(".")
         operation = self.operations.get(name)

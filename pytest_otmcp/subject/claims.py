@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from ..protocols.protocol import CLIENT_CERTIFICATE, COMMANDS, LAUNCHES, WRITE
+from ..protocols.protocol import ACCOUNT, CLIENT_CERTIFICATE, COMMANDS, LAUNCHES, WRITE
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts
 from .model import Adapter
@@ -67,6 +67,8 @@ class Claims:
                 return f"the subject file has no launch {LAUNCHES[operation]!r}"
             if operation == CLIENT_CERTIFICATE:
                 return "the launch 'secure' has no place for {cert}, a certificate of the adapter's own"
+            if operation == ACCOUNT:
+                return "the launch 'secure' has no place for {user} and {password}, an account of the device"
             if operation == COMMANDS:
                 return "the subject file has no named commands"
             return f"no binding of {operation!r} has {part!r}" if part else "no tool is bound to it"

@@ -432,7 +432,7 @@ def adapter_table(protocol: OtProtocol) -> Table:
                 {
                     "secure": Key(
                         _secured_by(protocol.policies) if protocol.policies else _VARIANT,
-                        "What the launch for the secure form of the protocol has beyond that with writes enabled; {ca} {cert} {key} are files.",
+                        "What the launch for the secure form of the protocol has beyond that with writes enabled; {ca} {cert} {key} are files, {user} {password} an account.",
                     )
                 }
                 if protocol.secure

@@ -221,10 +221,16 @@ def _openings(table: Mapping[str, Any], directory: Path) -> Openings:
     )
 
 
+_GIVEN = "{password}"
+"""The value of a setting that takes the password of the device's account."""
+
+
 def _secret_env(table: Mapping[str, Any], key: str) -> tuple[str, ...]:
     names: list[str] = table["secret_env"]
     for name in names:
-        if any(name in part["env"] for part in (table, *(table[variant] for variant in _launches(table)))):
+        parts = (table, *(table[variant] for variant in _launches(table)))
+        # The password of the device's account is a random value of the kit, too.
+        if any(part["env"].get(name, _GIVEN) != _GIVEN for part in parts):
             raise Refusal(
                 f"{key}.secret_env",
                 f"{name} has a value in 'env'; a secret that must have that value belongs into 'secrets'",

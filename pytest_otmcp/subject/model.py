@@ -16,6 +16,7 @@ from typing import Any, Literal, cast
 
 from ..protocols.bounds import Bounds, Governance, Scopes, Times
 from ..protocols.protocol import (
+    ACCOUNT,
     BOUNDS,
     CLIENT_CERTIFICATE,
     COMMANDS,
@@ -401,7 +402,7 @@ class Variant:
 
     Attributes:
         command: argument vector; ``{host} {port} {url} {NAME_port} {serial} {interface} {device_mac} {device_ip} {python} {dir} {work}
-            {http_port} {local_port}``, and for the secure form of a protocol ``{ca} {cert} {key}``, for tokens ``{issuer} {issuer_keys}
+            {http_port} {local_port}``, and for the secure form of a protocol ``{ca} {cert} {key} {user} {password}``, for tokens ``{issuer} {issuer_keys}
             {audience}``, are replaced.
         env: environment beyond the kit's allow-list, with the same replacements.
         cwd: working directory, or None for the kit's.
@@ -557,7 +558,7 @@ class Adapter:
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""
         operation, _, optional = facet.partition(".")
-        if operation in (*LAUNCHES, RECOVERY, COMMANDS, CLIENT_CERTIFICATE):
+        if operation in (*LAUNCHES, RECOVERY, COMMANDS, CLIENT_CERTIFICATE, ACCOUNT):
             return None
         bound = self.operations.get(operation)
         if bound is None:
@@ -573,7 +574,11 @@ class Adapter:
             named = {name: str(replace_placeholders(value, {})) for name, value in variant.env.items()}
             texts = (*variant.command, *variant.env.values(), *variant.files.values())
             named |= {name: os.environ.get(name, "") for name in set().union(*map(environment_names, texts))}
-            found |= {value for name, value in named.items() if name in self.secrets or _SECRET_NAME.search(name)}
+            found |= {
+                value
+                for name, value in named.items()
+                if (name in self.secrets or _SECRET_NAME.search(name)) and not _PLACEHOLDER.fullmatch(value)
+            }
         return found
 
     def telling_secrets(self, env: Mapping[str, str]) -> dict[str, str]:
@@ -636,6 +641,9 @@ class Adapter:
             return bool(self.commands)
         if operation == CLIENT_CERTIFICATE:
             return SECURE_FORM in self.variants and "{cert}" in str(self.variants[SECURE_FORM])
+        if operation == ACCOUNT:
+            launch = str(self.variants.get(SECURE_FORM, ""))
+            return "{user}" in launch and "{password}" in launch
         bound = self.operations.get(operation)
         if bound is None:
             return False

@@ -10,7 +10,7 @@ The rules of this file:
    an item, or whose item did not end, or failed for what another row is about, is not shown: it denies the level as well.
 3. A level is about something: at least one of the rows that begin with it and belong to the protocol's own profiles is met. The highest
    level is a whole: every MUST that begins with it is met, and none is only not asked for. The row about HTTP is for adapters that are
-   reached by it.
+   reached by it, that about accounts for those that have one.
 4. An adapter that may write has to show that its writes can be disabled, also where it does not claim that.
 5. A failure that is about no row of the catalogue denies every level, and so does one of an item on this protocol alone that is about a
    row that the protocol does not have.
@@ -42,6 +42,9 @@ _NAMED = 5
 
 _OVER_HTTP = "MCP-011"
 """The row about adapters that are reached over a network."""
+
+_ACCOUNT = "SEC-003"
+"""The row about adapters with an account at the device."""
 
 _GUARD = "WR-004"
 """The row by which writes that are disabled stay disabled."""
@@ -206,7 +209,9 @@ class _Evidence:
         if _GUARD in unclaimed and not self._only_reads():
             unclaimed.remove(_GUARD)
             not_run.append(_GUARD)
-        absent = [row.id for row in needed if row.level is wanted is Level.GOLD and row.id in unclaimed]
+        absent = [
+            row.id for row in needed if row.level is wanted is Level.GOLD and row.id in unclaimed and row.id != _ACCOUNT
+        ]
         return Standing(
             protocol=self._protocol,
             level=earned,

@@ -317,6 +317,7 @@ class AdapterUnderTest:
             "work": self._work.name,
             "http_port": str(self._free_port(socket.SOCK_STREAM)) if url is not None else "",
             "local_port": str(self._free_port(socket.SOCK_DGRAM)),
+            **self.device.account,
             **{name: str(Path(self._work.name, _CREDENTIALS, f"{name}.pem")) for name in self.device.credentials},
         }
         url = None if url is None else str(replace_placeholders(url, values))
@@ -329,6 +330,7 @@ class AdapterUnderTest:
         self._placeholders = values
         launch = self.adapter.variants[self.variant].for_endpoint(values)
         canaries = {name: new_canary() for name in (CANARY_VARIABLE, *self.adapter.secret_env)}
+        canaries |= {name: launch.env[name] for name in self.adapter.secret_env if name in launch.env}
         search = SecretSearch(canaries, self.adapter.telling_secrets(launch.env))
         self._launched = launch
         if self._tested is None:

@@ -72,7 +72,8 @@ class Checks(Tasks):
             launch: a facet that is a launch of its own, whose variant the steps get as well.
             beside: another such facet, whose variant they get where the subject claims it, else None; on a protocol without this facet they
                 are called without it.
-            facets: further facets, without their protocol, separated by blanks.
+            facets: further facets, without their protocol, separated by blanks; a protocol that does not have one that is voluntary has no
+                such check.
             having: member of the exercise that the steps use, and that not every protocol has.
             apart: keys of protocols that have a check of this row of their own, separated by blanks.
             status: a status that the device has to answer is as good as the read.
@@ -84,7 +85,8 @@ class Checks(Tasks):
                 exercise = protocol.exercise
                 if exercise is None or key in apart.split() or (having and not getattr(exercise, having)):
                     continue
-                if launch and launch not in protocol.facets:
+                launched = [*[launch] * bool(launch), *filter(protocol.is_voluntary, facets.split())]
+                if not set(launched) <= {*protocol.facets}:
                     continue
                 launches = [*[GUARD] * guard, *[launch] * bool(launch)]
                 instead = READ if exercise.waiting is not None and not prompt else exercise.reading

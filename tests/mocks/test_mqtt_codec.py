@@ -133,7 +133,7 @@ def test_a_connect_has_the_bytes_of_the_specification() -> None:
     )
 
 
-def test_a_password_is_not_kept() -> None:
+def test_a_password_is_not_shown() -> None:
     packet = decoded(connect_bytes(flags=0xC2, tail=utf8("user") + utf8("secret")))
     assert isinstance(packet, Connect)
     assert packet.username == "user"

@@ -91,6 +91,8 @@ class MqttConversation:
         """Return the packet as it is kept, where it may hold a credential."""
         if not isinstance(packet, Connect | Connack | Auth):
             return ()
+        if isinstance(packet, Connect):
+            packet = replace(packet, password=None)
         open_ones = {name: value for name, value in packet.properties.items() if name not in _CREDENTIALS}
         return (encode(replace(packet, properties=open_ones), self._level),)
 

@@ -89,5 +89,6 @@ PROTOCOL = OtProtocol(
     exercise=EXERCISE,
     always=True,
     secure=True,
+    accounts=True,
     delayed=tuple({"packet": kind} for kind in ("PUBLISH", "SUBSCRIBE", "UNSUBSCRIBE", "PINGREQ")),
 )

@@ -45,6 +45,7 @@ PROTOCOL = OtProtocol(
     exercise=EXERCISE,
     always=True,
     secure=True,
+    accounts=True,
     application="urn:otmcp:mock",
     policies=("Basic256Sha256", "Aes128_Sha256_RsaOaep", "Aes256_Sha256_RsaPss"),
     discovery=("OpenSecureChannel", "CloseSecureChannel", "FindServers", "GetEndpoints"),

@@ -159,8 +159,7 @@ def _connect(reader: Reader, level: int) -> Connect:
         payload = reader.binary()
         will = Will(topic=topic, payload=payload, qos=will_qos, retain=will_retain, properties=will_properties)
     username = reader.string() if has_username else None
-    if has_password:
-        reader.binary()
+    password = reader.binary() if has_password else None
     return Connect(
         protocol_level=level,
         clean_start=bool(flags & 2),
@@ -168,6 +167,7 @@ def _connect(reader: Reader, level: int) -> Connect:
         client_id=client_id,
         will=will,
         username=username,
+        password=password,
         properties=properties,
     )
 
@@ -337,12 +337,14 @@ def _reason_tail(code: int, properties: Properties, level: int) -> bytes:
 
 def _connect_body(packet: Connect) -> bytes:
     level, will = packet.protocol_level, packet.will
-    flags = packet.clean_start << 1 | (packet.username is not None) << 7
+    flags = packet.clean_start << 1 | (packet.password is not None) << 6 | (packet.username is not None) << 7
     tail = string(packet.client_id)
     if will is not None:
         flags |= 4 | will.qos << 3 | will.retain << 5
         tail += _encoded(will.properties, level) + string(will.topic) + binary(will.payload)
     if packet.username is not None:
         tail += string(packet.username)
+    if packet.password is not None:
+        tail += binary(packet.password)
     head = string("MQIsdp" if level == MQTT_31 else "MQTT") + bytes((level, flags)) + uint16(packet.keepalive)
     return head + _encoded(packet.properties, level) + tail

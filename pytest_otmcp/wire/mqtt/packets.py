@@ -66,7 +66,7 @@ class Will:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Connect:
-    """CONNECT. A password is read over and never kept."""
+    """CONNECT. A password is never shown."""
 
     type: ClassVar[PacketType] = PacketType.CONNECT
     protocol_level: int
@@ -75,6 +75,7 @@ class Connect:
     client_id: str
     will: Will | None = None
     username: str | None = None
+    password: bytes | None = field(default=None, repr=False)
     properties: Properties = field(default_factory=dict)
 
 

@@ -11,7 +11,7 @@ from pydantic import create_model
 
 from ...core import AdapterError, AdapterServer, Call, approval, gates, policy, principal
 from ...core.schema import input_schema
-from ..defect import Change, Data, Defect, Handler, around, defect, wrap
+from ..defect import Change, Data, Defect, Handler, around, defect, failing, succeeding, wrap
 
 __all__ = ["DEFECTS"]
 
@@ -348,7 +348,96 @@ def _asks_for_a_pin(server: AdapterServer) -> None:
     approval._FORM["properties"]["pin"] = {"type": "string", "title": "Your PIN"}
 
 
+# -- the account at the device ----------------------------------------------------------------------------------------
+
+
+def _granted(call: Call, arguments: Any) -> Data:
+    return {"topic": arguments.topic, "qos": arguments.qos, "granted_qos": arguments.qos}
+
+
+def _as_another(server: AdapterServer, user: str | None) -> Callable[[], None]:
+    """Give the adapter another account; return what gives it back its own."""
+    link: Any = server._close.__self__
+    if hasattr(link, "endpoint"):
+        endpoint = link.endpoint
+        link.endpoint = replace(endpoint, username=user, password=user)
+        return lambda: setattr(link, "endpoint", endpoint)
+    own = link._username, link._password
+    link._username = link._password = user
+
+    def back() -> None:
+        link._username, link._password = own
+
+    return back
+
+
+def _never_itself(user: str | None) -> Change:
+    """Return the defect that the adapter has another account than the one that is configured."""
+
+    def apply(server: AdapterServer) -> None:
+        _as_another(server, user)
+
+    return apply
+
+
+def _turned_away_as(user: str | None) -> Change:
+    """Return the defect that an adapter whose account is refused goes on with another."""
+
+    def apply(server: AdapterServer) -> None:
+        link: Any = server._close.__self__
+        genuine = link._connect
+
+        async def connect(*arguments: Any) -> Any:
+            try:
+                return await genuine(*arguments)
+            except AdapterError as error:
+                if error.code not in ("auth_failed", "access_denied"):
+                    raise
+            back = _as_another(server, user)
+            try:
+                return await genuine(*arguments)
+            finally:
+                back()
+
+        link._connect = connect
+
+    return apply
+
+
 DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-95j", "mqtt", "An account that the broker refuses is given up for none.", _turned_away_as(None), "SEC-003"
+    ),
+    defect(
+        "MU-95k", "opcua", "An account that the server refuses is given up for none.", _turned_away_as(None), "SEC-003"
+    ),
+    defect(
+        "MU-95l",
+        "mqtt",
+        "An account that the broker refuses is given up for one that it has of itself.",
+        _turned_away_as("admin"),
+        "SEC-003",
+    ),
+    defect(
+        "MU-95m", "opcua", "It connects as nobody, although it was given an account.", _never_itself(None), "SEC-003"
+    ),
+    defect(
+        "MU-95n",
+        "mqtt",
+        "A subscription that the broker does not allow is told as made.",
+        succeeding("subscribe_topic", code="access_denied", answer=_granted),
+        "SEC-003",
+    ),
+    defect(
+        "MU-95o",
+        "opcua",
+        "What the server does not allow to be read is told as a failure of the connection.",
+        failing(
+            "read_opcua_node", change=lambda call, error: AdapterError("connection_lost", "the connection is gone")
+        ),
+        "",
+        "SEC-003",
+    ),
     defect(
         "MU-94",
         "modbus",
