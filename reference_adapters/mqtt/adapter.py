@@ -7,7 +7,7 @@ from collections.abc import Callable
 from urllib.parse import urlsplit
 
 from ..core import AdapterServer, ConfigError, Environment, client_context
-from .connection import Endpoint
+from .connection import VERSIONS, Endpoint
 from .edge_node import EdgeNode
 from .link import Link
 from .sparkplug_tools import SparkplugTools
@@ -72,11 +72,19 @@ def _endpoint(environment: Environment) -> Endpoint:
         host=parts.hostname,
         port=port or (8883 if secure else 1883),
         tls=tls,
+        version=_version(environment),
         client_id=environment.text("MQTT_CLIENT_ID", "otmcp-adapter"),
         username=environment.optional("MQTT_USERNAME"),
         password=environment.optional("MQTT_PASSWORD"),
         timeout_s=environment.seconds("MQTT_TIMEOUT_S", 2.0),
     )
+
+
+def _version(environment: Environment) -> str:
+    text = environment.text("MQTT_VERSION", "5")
+    if text not in VERSIONS:
+        raise ConfigError(f"MQTT_VERSION: expected {' or '.join(VERSIONS)}, found {text!r}")
+    return text
 
 
 def _identifier(environment: Environment, name: str, default: str) -> str:

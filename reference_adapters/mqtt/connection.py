@@ -28,7 +28,10 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from ..core import AdapterError, Lost, handshake_failure
 
-__all__ = ["Connection", "Delivery", "Endpoint", "Message", "Will", "refusal_code"]
+__all__ = ["VERSIONS", "Connection", "Delivery", "Endpoint", "Message", "Refused", "Will", "refusal_code"]
+
+VERSIONS = {"5": paho.MQTTv5, "3.1.1": paho.MQTTv311}
+"""The versions of MQTT that the adapter speaks. A broker for 3.1.1 cannot refuse a message: what it acknowledges it may have dropped."""
 
 # A half-open connection is detected after two of these periods.
 KEEPALIVE_S = 5
@@ -44,6 +47,7 @@ _PROTOCOL_ERROR = 0x82
 _REFUSALS = {
     0x81: "protocol_error",
     0x82: "protocol_error",
+    0x83: "device_failure",
     0x84: "config_error",
     0x85: "config_error",
     0x86: "auth_failed",
@@ -53,14 +57,36 @@ _REFUSALS = {
     0x8C: "auth_failed",
     0x8F: "invalid_input",
     0x90: "invalid_input",
+    0x91: "protocol_error",
+    0x92: "protocol_error",
+    0x93: "rate_limited",
     0x95: "limit_exceeded",
+    0x96: "rate_limited",
     0x97: "rate_limited",
+    0x99: "invalid_input",
+    0x9A: "unsupported_operation",
+    0x9B: "unsupported_operation",
     0x9E: "unsupported_operation",
     0x9F: "rate_limited",
     0xA2: "unsupported_operation",
 }
 
+# These do not say whether the broker has the message.
+_UNDECIDED = (0x80, 0x81, 0x82, 0x83, 0x91, 0x92)
+
 log = logging.getLogger(__name__)
+
+
+class Refused(AdapterError):
+    """The broker refuses a message."""
+
+    def __init__(self, reason: int) -> None:
+        code, outcome = (
+            refusal_code(reason, otherwise="device_failure"),
+            "unknown" if reason in _UNDECIDED else "rejected",
+        )
+        super().__init__(code, "the broker refuses the message", outcome=outcome, details={"by": "device"})
+        self.reason = reason
 
 
 def refusal_code(reason: int, *, otherwise: str) -> str:
@@ -74,12 +100,14 @@ class Endpoint:
 
     Attributes:
         tls: for a connection over TLS; None for one in clear.
+        version: of MQTT, one of :data:`VERSIONS`.
         timeout_s: seconds for connecting, and for each answer of the broker.
     """
 
     host: str
     port: int
     tls: ssl.SSLContext | None
+    version: str
     client_id: str
     username: str | None
     password: str | None
@@ -125,6 +153,13 @@ class Delivery:
         self.packet_id = info.mid
         self.done: asyncio.Future[None] | None = None if info.is_published() else loop.create_future()
 
+    def refuse(self, reason: int) -> None:
+        """Tell the caller that the broker refuses the message; for paho it is published all the same."""
+        if self.done is not None and not self.done.done():
+            self.done.set_exception(Refused(reason))
+            # It is retrieved here, so that asyncio does not warn about an exception that no caller awaits.
+            self.done.exception()
+
     def settle(self) -> bool:
         """Wake the caller if paho has written the message or has its acknowledgement; return whether this is so."""
         if not self._info.is_published():
@@ -157,7 +192,10 @@ class Connection:
         self._writing = False
         # Without reconnect_on_failure=False paho answers a refusal of 3.1.1 by a blocking attempt with 3.1.
         client = paho.Client(
-            CallbackAPIVersion.VERSION2, endpoint.client_id, protocol=paho.MQTTv311, reconnect_on_failure=False
+            CallbackAPIVersion.VERSION2,
+            endpoint.client_id,
+            protocol=VERSIONS[endpoint.version],
+            reconnect_on_failure=False,
         )
         client.connect_timeout = endpoint.timeout_s
         # paho's limit of 20 would hold messages back and send them later, perhaps after their failure was reported.
@@ -171,6 +209,7 @@ class Connection:
         client.on_message = lambda c, u, message: self._received(message)
         client.on_subscribe = lambda c, u, mid, reasons, p: self._answer(mid, reasons)
         client.on_unsubscribe = lambda c, u, mid, reasons, p: self._answer(mid, reasons)
+        client.on_publish = lambda c, u, mid, reason, p: self._published(mid, reason)
         client.on_socket_close = lambda c, u, sock: self._unwatch()
         self._client = client
 
@@ -258,7 +297,7 @@ class Connection:
     def _ended(self, reason: ReasonCode) -> None:
         if reason.value == _PROTOCOL_ERROR and not self._opened.done():
             # paho reports return code 1, unacceptable protocol version, and every unexpected packet like this.
-            message = "what answers there is no broker for MQTT 3.1.1"
+            message = f"what answers there is no broker for MQTT {self._endpoint.version}; see MQTT_VERSION"
             self._opened.set_exception(AdapterError("config_error", message, outcome="not_sent"))
         self._end()
 
@@ -323,9 +362,14 @@ class Connection:
             self._loop.remove_writer(self._descriptor)
 
     def _settle(self) -> None:
-        # paho's on_publish would report the same, but doubles the cost of a publish with QoS 0.
         if self._deliveries:
             self._deliveries = [one for one in self._deliveries if not one.settle()]
+
+    def _published(self, packet_id: int, reason: ReasonCode) -> None:
+        if reason.is_failure:
+            for delivery in self._deliveries:
+                if delivery.packet_id == packet_id:
+                    delivery.refuse(reason.value)
 
     def _received(self, message: Any) -> None:
         self._on_message(
@@ -360,6 +404,7 @@ class Connection:
 
         Raises:
             Lost: the connection broke first.
+            Refused: the broker refuses one of them.
             AdapterError: ``timeout``.
         """
         pending = [one.done for one in deliveries if one.done is not None]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from ..core import AdapterError, Call, Lost, repeat_once
-from .connection import Connection, Endpoint, Message, refusal_code
+from .connection import Connection, Endpoint, Message, Refused, refusal_code
 from .edge_node import EdgeNode
 from .inbox import Inbox
 from .nodes import NodeTracker
@@ -142,6 +142,9 @@ class Link:
         except Lost:
             call.disconnected()
             raise AdapterError("connection_lost", "the connection broke; the broker may have the message") from None
+        except Refused as refused:
+            call.trace["reason_code"] = refused.reason
+            raise
         except AdapterError:
             call.disconnected()
             raise
@@ -259,7 +262,10 @@ class Link:
                 log.warning("the broker refuses a subscription that it granted before")
                 del self.needed[text]
         if self.edge_node.alive:
-            await connection.delivered([connection.send(birth) for birth in self.edge_node.births()])
+            try:
+                await connection.delivered([connection.send(birth) for birth in self.edge_node.births()])
+            except Refused:
+                log.warning("the broker refuses the births of the edge node")
 
     async def _keep_connected(self) -> None:
         """Make a new connection whenever there is none; end when an attempt fails permanently."""

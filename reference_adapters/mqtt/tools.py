@@ -47,7 +47,7 @@ class Tools:
             "connected": True,
             "endpoint": endpoint.uri,
             "client_id": endpoint.client_id,
-            "protocol_version": "3.1.1",
+            "protocol_version": endpoint.version,
             "subscriptions": len(self._link.subscriptions),
         }
 

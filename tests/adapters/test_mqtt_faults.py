@@ -204,9 +204,15 @@ def test_a_message_that_comes_before_the_answer_to_its_subscription_is_kept(adap
 # -- connecting --------------------------------------------------------------------------------------------------
 
 
-def test_each_refusal_of_a_connection_has_its_code(rig: Any, broker: Any) -> None:
-    fresh = rig.start("refused", writes="true", MQTT_CLIENT_ID="refused")
-    codes = {1: "config_error", 2: "config_error", 4: "auth_failed", 5: "access_denied", 3: "connect_failed"}
+@pytest.mark.parametrize(
+    ("version", "codes"),
+    [
+        ("3.1.1", {1: "config_error", 2: "config_error", 4: "auth_failed", 5: "access_denied", 3: "connect_failed"}),
+        ("5", {0x84: "config_error", 0x86: "auth_failed", 0x87: "access_denied", 0x88: "connect_failed"}),
+    ],
+)
+def test_each_refusal_of_a_connection_has_its_code(rig: Any, broker: Any, version: str, codes: dict[int, str]) -> None:
+    fresh = rig.start("refused", writes="true", MQTT_CLIENT_ID="refused", MQTT_VERSION=version)
     for code, expected in codes.items():
         broker.fault({"packet": "CONNECT", "client_id": "refused", "action": {"reason_code": code}})
         mark = broker.mark()
@@ -241,7 +247,7 @@ def test_a_lost_connection_is_tried_again_with_pauses_that_double(adapter: Any, 
     mark = broker.mark()
     broker.fault(
         {"packet": "UNSUBSCRIBE", "client_id": CLIENT, "times": 1, "action": {"reset": True}},
-        {"packet": "CONNECT", "client_id": CLIENT, "times": 7, "action": {"reason_code": 3}},
+        {"packet": "CONNECT", "client_id": CLIENT, "times": 7, "action": {"reason_code": 0x88}},
     )
     assert adapter.call("get_broker_info").error["code"] == "connect_failed"
     # The adapter reconnects by itself, without a call.
@@ -252,6 +258,22 @@ def test_a_lost_connection_is_tried_again_with_pauses_that_double(adapter: Any, 
     # attempt is the call's own.
     pauses = [(later - earlier) / 1e9 for earlier, later in itertools.pairwise(tries)][1:]
     assert all(pause >= FIRST_PAUSE_S * 2**number for number, pause in enumerate(pauses)), pauses
+
+
+@pytest.mark.parametrize(
+    ("reason", "code", "outcome"),
+    [(0x87, "access_denied", "rejected"), (0x97, "rate_limited", "rejected"), (0x80, "device_failure", "unknown")],
+)
+@pytest.mark.parametrize("qos", [1, 2])
+def test_a_message_that_the_broker_refuses_is_a_failure(
+    adapter: Any, broker: Any, qos: int, reason: int, code: str, outcome: str
+) -> None:
+    broker.fault({"packet": "PUBLISH", "client_id": CLIENT, "times": 1, "action": {"reason_code": reason}})
+    reply = publish(adapter, "a", qos=qos)
+    told = ("protocol_error", "unknown") if qos == 2 else (code, outcome)
+    assert (reply.error["code"], reply.error["outcome"], reply.error["details"]["by"]) == (*told, "device")
+    # Nothing is wrong with the connection.
+    assert publish(adapter, "a", qos=qos).meta["connection"] == reply.meta["connection"]
 
 
 @contextlib.contextmanager
@@ -284,7 +306,9 @@ def test_what_is_no_broker_is_told_and_nothing_is_published_to_it(rig: Any) -> N
             b"": "connect_failed",
             b"HTTP/1.1 400 Bad Request\r\n\r\n": "connect_failed",
             b"\x20\x02\x00": "connect_failed",
-            b"\x20\x02\x00\x63": "connect_failed",
+            b"\x20\x02\x00\x01": "config_error",
+            b"\x20\x02\x00\x63": "config_error",
+            b"\x20\x03\x00\x63\x00": "config_error",
             b"\xff" * 9: "config_error",
         }.items():
             answers.append(answer)
@@ -311,7 +335,7 @@ def test_a_connection_that_was_given_up_is_reset_so_that_the_kernel_sends_nothin
         with connection:
             connection.settimeout(PATIENCE_S)
             connection.recv(1000)
-            connection.sendall(b"\x20\x02\0\0")
+            connection.sendall(b"\x20\x03\0\0\0")
             assert connection.recv(1000)[0] == 0x32
             fresh.pass_time()
             with pytest.raises(ConnectionResetError):
@@ -324,13 +348,20 @@ def test_a_connection_that_was_given_up_is_reset_so_that_the_kernel_sends_nothin
 async def test_a_connection_knows_its_end_before_the_loop_has_read_it() -> None:
     with mute_broker() as (listener, port):
         endpoint = Endpoint(
-            host="127.0.0.1", port=port, tls=None, client_id="c", username=None, password=None, timeout_s=PATIENCE_S
+            host="127.0.0.1",
+            port=port,
+            tls=None,
+            version="5",
+            client_id="c",
+            username=None,
+            password=None,
+            timeout_s=PATIENCE_S,
         )
         connection = Connection(endpoint, lambda message: None)
         opening = asyncio.create_task(connection.open(None))
         peer, _ = await asyncio.to_thread(listener.accept)
         with peer:
-            peer.sendall(b"\x20\x02\0\0")
+            peer.sendall(b"\x20\x03\0\0\0")
             await opening
             assert connection.is_live()
         # Loopback delivers the end at once or, on a busy machine, soon; the event loop does not run meanwhile.

@@ -13,10 +13,9 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from types import SimpleNamespace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import paho.mqtt.client as paho
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, Lost
 from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.defects.host_application import beside
@@ -339,17 +338,10 @@ def connection_per_publication(server: AdapterServer) -> None:
     wrap(server, "publish_message", lambda genuine: publish)
 
 
-@choice("speaks MQTT 5", "the broker speaks both")
-def mqtt_5(server: AdapterServer) -> None:
-    connections.paho = SimpleNamespace(Client=paho.Client, MQTTv311=paho.MQTTv5)
-
-    def named(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Any:
-            return {**await genuine(call, arguments), "protocol_version": "5.0"}
-
-        return handler
-
-    wrap(server, "get_broker_info", named)
+@choice("speaks MQTT 3.1.1", "the broker speaks both")
+def mqtt_311(server: AdapterServer) -> None:
+    link = link_of(server)
+    link.endpoint = replace(link.endpoint, version="3.1.1")
 
 
 # -- status -----------------------------------------------------------------------------------------------------------
