@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from pytest_otmcp.core.error_registry import WireCode, registry, wire_codes
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.journal import ADAPTER, Entries
+from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.mqtt.oracle import refusals
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
@@ -15,6 +16,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
 from ..tasks.common import untold
+from .mqtt_steps import speaks_mqtt_5
 from .provoked import (
     VALIDATION,
     expect_failure,
@@ -149,12 +151,18 @@ async def _has_code(
     code: WireCode,
     trace: Mapping[str, object],
     requirement: str,
+    *,
+    told: Callable[[Entries], Sequence[object]] | None = None,
 ) -> None:
-    """Read or write while the device answers by these rules, and expect the code that belongs to the answer."""
+    """Read or write while the device answers by these rules, and expect the code that belongs to the answer.
+
+    Args:
+        told: finds the answers that refuse in what the device saw, where not each request has an answer.
+    """
     await at.device.fault(*rules)
     _, reply = await step(run, at)
     await at.device.fault()
-    if not await met(at, reply):
+    if not await met(at, reply) or (told is not None and not told(reply.during(await at.journal()))):
         # An adapter may get at its data in another way, which the device did not refuse.
         return
     outcome = ("not_applicable",) if step is read else (code.outcome or "rejected", "unknown")
@@ -163,15 +171,15 @@ async def _has_code(
 
 _SUBACK_REFUSAL = 0x80
 _SHUTTING_DOWN = 0x8B
-_LEVEL_5 = 5
 _CONNACK_5 = (132, 133, 134, 135, 136, 137, 138, 140, 151, 156, 157, 159)
 _SUBACK_5 = (135, 143, 151, 158, 162)
+_PUBACK_5 = (128, 131, 135, 144, 151, 153)
 
 
 @TASKS.check("ERR-004", "Each refusal of a broker has its code.", needs="mqtt.subscribe mqtt.publish")
 async def refusals_have_their_code(run: Repetition, mqtt: Rig) -> None:
-    """Subscribe while the broker refuses the filter, with each reason that the version of MQTT has; then, for each reason to refuse a
-    client, have the broker end the connection and refuse the next ones with it, and subscribe.
+    """Subscribe while the broker refuses the filter, with each reason that the version of MQTT has, and in MQTT 5 publish while it refuses the
+    message, with each; then, for each reason to refuse a client, have the broker end the connection and refuse the next ones with it, and subscribe.
 
     Said: a failure with the code of the table, and the reason in the trace; success when the broker takes the client again.
     Seen: the refusal.
@@ -181,7 +189,7 @@ async def refusals_have_their_code(run: Repetition, mqtt: Rig) -> None:
     # The version is in the CONNECT of the connection that is made now.
     await mqtt.device.poke(disconnect={"client_id": None, "reason_code": _SHUTTING_DOWN})
     await answers_again(run, mqtt)
-    modern = await _speaks_mqtt_5(mqtt)
+    modern = await speaks_mqtt_5(mqtt)
     known = wire_codes("pytest_otmcp.protocols.mqtt")
     refused = WireCode(
         key="128", name="Failure", value=_SUBACK_REFUSAL, codes=("access_denied",), outcome="rejected", retry="no"
@@ -189,6 +197,9 @@ async def refusals_have_their_code(run: Repetition, mqtt: Rig) -> None:
     for code in [known[str(number)] for number in _SUBACK_5] if modern else [refused]:
         rules = [{"packet": "SUBSCRIBE", "action": {"reason_code": code.value}}]
         await _has_code(run, mqtt, rules, read, code, {"reason_code": code.value}, "ERR-004")
+    for code in [known[str(number)] for number in _PUBACK_5] if modern else []:
+        rules = [{"packet": "PUBLISH", "action": {"reason_code": code.value}}]
+        await _has_code(run, mqtt, rules, write, code, {"reason_code": code.value}, "ERR-004", told=refusals)
     await a_read_works(run, mqtt)
     if mqtt.subject.claims("recovery") and mqtt.subject.reconnects:
         table = [known[str(number)] for number in _CONNACK_5] if modern else _connack()
@@ -199,11 +210,6 @@ async def refusals_have_their_code(run: Repetition, mqtt: Rig) -> None:
 
 def _connack() -> list[WireCode]:
     return list(wire_codes("pytest_otmcp.protocols.mqtt", table="connack").values())
-
-
-async def _speaks_mqtt_5(mqtt: Rig) -> bool:
-    connects = [entry for entry in await mqtt.journal() if entry["kind"] == "CONNECT" and entry["origin"] == ADAPTER]
-    return any(entry.get("protocol_level") == _LEVEL_5 for entry in connects)
 
 
 async def _refused_client(run: Repetition, mqtt: Rig, code: WireCode) -> None:

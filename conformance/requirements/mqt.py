@@ -20,7 +20,7 @@ from pytest_otmcp.trial.rig import Rig
 from ..commanded import some_command
 from ..tasks.common import UNCERTAIN
 from ..tasks.messages import collect, publish_from_kit, subscribe, sync_point, tells_topics
-from .mqtt_steps import nonce, until, until_it_works
+from .mqtt_steps import nonce, speaks_mqtt_5, until, until_it_works
 from .steps import CONNECTION_FAULTS, answers_again, citing, exercise, since, some_read
 
 __all__ = ["TASKS"]
@@ -31,6 +31,10 @@ _PUMP = "control/pump"
 _CAPITALS = "control/Pump/A"
 _LATE_S = 0.2
 """Seconds by which an acknowledgement is late: well above a tick of the coarsest clock, well below every timeout."""
+
+_NOT_AUTHORIZED = 0x87
+_REFUSED = ("access_denied", "protocol_error", "device_failure")
+"""Some libraries go on with a message of QoS 2 that was refused, and lose the reason: the broker does not know its identifier any more."""
 
 _NOTICING_S = 1.0
 """Seconds for which a publication may still be handed to a connection that has just been cut."""
@@ -44,10 +48,10 @@ _MOST_READS = 120
 @TASKS.check("MQT-001", "A publication is a success when the broker has acknowledged it.", needs="mqtt.publish")
 async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
     """Publish with QoS 1 and 2 while the broker acknowledges late; while it ends the connection instead; with QoS 1 while it says
-    nothing; and with QoS 0 while it is away. Then publish again. A subject that publishes by named commands alone is asked for one of them
-    while the broker acknowledges late, ends the connection and says nothing.
+    nothing; in MQTT 5 with QoS 1 and 2 while it refuses the message; and with QoS 0 while it is away. Then publish again. A subject that
+    publishes by named commands alone is asked for one of them while the broker acknowledges late, ends the connection and says nothing.
 
-    Said: success after the acknowledgement; failures of the connection with the outcome `unknown` or `not_sent`; success.
+    Said: success after the acknowledgement; failures of the connection with the outcome `unknown` or `not_sent`; a failure; success.
     Seen: for each success with QoS 1 the PUBACK, with QoS 2 the PUBCOMP, before the reply; the message itself once.
     Why: a library takes a message and says "fine" long before a broker has it, or never gets rid of it.
     """
@@ -65,6 +69,9 @@ async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
             run, mqtt, qos, {"packet": "PUBREL" if qos == 2 else "PUBLISH", "action": {"reset": True}}
         )
     await _unacknowledged(run, mqtt, 1, {"packet": "PUBLISH", "action": {"no_answer": True}})
+    if await speaks_mqtt_5(mqtt):
+        for qos in _every_qos(mqtt):
+            await _refused(run, mqtt, qos)
     if mqtt.subject.claims("recovery"):
         await _nobody_is_there(run, mqtt)
 
@@ -147,6 +154,15 @@ async def _unacknowledged(run: Repetition, mqtt: Rig, qos: int, rule: Mapping[st
     for poke in asked.pokes:
         await mqtt.device.poke(**poke)
     await until_it_works(run, mqtt, asked.operation, **asked.inputs)
+
+
+async def _refused(run: Repetition, mqtt: Rig, qos: int) -> None:
+    """Publish while the broker refuses the message."""
+    await mqtt.device.fault({"packet": "PUBLISH", "action": {"reason_code": _NOT_AUTHORIZED}})
+    _, reply = await _publish(run, mqtt, qos)
+    await mqtt.device.fault()
+    if oracle.refusals(reply.during(await mqtt.journal())):
+        run.fails(reply, *_REFUSED, outcome=("rejected", "unknown"), requirement="MQT-001", code_requirement="ERR-004")
 
 
 async def _nobody_is_there(run: Repetition, mqtt: Rig) -> None:

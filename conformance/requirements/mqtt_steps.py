@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.journal import ADAPTER, Entries
 from pytest_otmcp.protocols.mqtt.entries import MqttEntry, adapter_packets, payload_of
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.wire.mqtt.sparkplug import decode_message
 
-__all__ = ["Messages", "edge_node_of", "nonce", "sparkplug", "until", "until_it_works"]
+__all__ = ["Messages", "edge_node_of", "nonce", "sparkplug", "speaks_mqtt_5", "until", "until_it_works"]
 
 Messages = list[tuple[MqttEntry, Mapping[str, Any]]]
 """Sparkplug messages: the packet, and what the kit's own decoder makes of its payload."""
 
+_LEVEL_5 = 5
 _WAKING_S = 0.5
 """Seconds to wait for a new connection before an adapter is asked again."""
 
@@ -24,6 +25,12 @@ _WAKING_S = 0.5
 def nonce(run: Repetition) -> str:
     """Return a name that nothing had before."""
     return f"{run.rng.getrandbits(48):012x}"
+
+
+async def speaks_mqtt_5(mqtt: Rig) -> bool:
+    """Return whether the adapter's connections that the journal has are of MQTT 5."""
+    connects = [entry for entry in await mqtt.journal() if entry["kind"] == "CONNECT" and entry["origin"] == ADAPTER]
+    return any(entry.get("protocol_level") == _LEVEL_5 for entry in connects)
 
 
 def sparkplug(entries: Entries, *types: str) -> Messages:

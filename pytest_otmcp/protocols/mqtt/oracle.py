@@ -44,6 +44,7 @@ __all__ = [
     "not_reported",
     "not_subscribed",
     "published_once",
+    "refusals",
     "reported",
     "session_stays_up",
     "state_births",
@@ -331,6 +332,8 @@ def published_once(
     ]
 
 
+_REFUSED = 0x80
+"""Reason codes from here on refuse (MQTT 5, section 2.4)."""
 _LAST_ANSWER = {1: "PUBACK", 2: "PUBCOMP"}
 
 
@@ -346,16 +349,29 @@ def acknowledged(entries: Entries, payload: bytes, *, received_ns: int) -> list[
         return []
     wanted = {(_LAST_ANSWER.get(packet["qos"]), packet["connection"], packet.get("packet_id")) for packet in sent}
     answers = [packet for packet in adapter_packets(entries, direction="out") if packet["t_ns"] <= received_ns]
-    if any((answer["kind"], answer["connection"], answer.get("packet_id")) in wanted for answer in answers):
+    if any(
+        (answer["kind"], answer["connection"], answer.get("packet_id")) in wanted
+        and answer["reason_codes"][0] < _REFUSED
+        for answer in answers
+    ):
         return []
+    done = "it had refused it" if refusals(entries) else "it had not"
     return [
         Finding(
             code="not_acknowledged",
-            message=f"the broker should have acknowledged {payload[:80]!r} with QoS {sent[0]['qos']} before the reply says success, "
-            "it had not",
+            message=f"the broker should have acknowledged {payload[:80]!r} with QoS {sent[0]['qos']} before the reply says success, {done}",
             requirement="MQT-001",
             evidence=shown(entries),
         )
+    ]
+
+
+def refusals(entries: Entries) -> list[MqttEntry]:
+    """Return the answers by which the broker refused a message (MQTT 5, sections 3.4.2.1 and 3.5.2.1)."""
+    return [
+        packet
+        for packet in adapter_packets(entries, direction="out")
+        if packet["kind"] in ("PUBACK", "PUBREC") and packet["reason_codes"][0] >= _REFUSED
     ]
 
 

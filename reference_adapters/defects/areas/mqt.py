@@ -41,6 +41,10 @@ def acknowledgements_awaited_in_vain(server: AdapterServer) -> None:
     Connection.delivered = delivered
 
 
+def refusals_not_read(server: AdapterServer) -> None:
+    Delivery.refuse = lambda delivery, reason: None
+
+
 def granting(change: Callable[[int | None], int | None]) -> Callable[[AdapterServer], None]:
     """Return the defect that the broker's answers to SUBSCRIBE are taken for others."""
 
@@ -177,6 +181,13 @@ DEFECTS: tuple[Defect, ...] = (
         "ENV-007 MQT-001",
     ),
     defect("MU-63", "mqtt", "A publish succeeds before its PUBACK.", acknowledgements_not_awaited, "MQT-001"),
+    defect(
+        "MU-63r",
+        "mqtt",
+        "A message that the broker refuses is told as acknowledged.",
+        refusals_not_read,
+        "ERR-004 MQT-001",
+    ),
     defect(
         "MU-63w",
         "mqtt",
