@@ -103,7 +103,7 @@ async def _together(connect: Callable[[str, int], Awaitable[Exchange]], host: st
 
 async def _paho(host: str, port: int) -> paho.Client:
     connected = asyncio.Event()
-    client = paho.Client(CallbackAPIVersion.VERSION2, f"benchmark-{os.getpid()}", protocol=paho.MQTTv311)
+    client = paho.Client(CallbackAPIVersion.VERSION2, f"benchmark-{os.getpid()}", protocol=paho.MQTTv5)
     client.max_inflight_messages_set(0)
     client.on_connect = lambda c, u, flags, reason, properties: connected.set()
     client.connect(host, port, keepalive=3600)

@@ -209,7 +209,6 @@ class Connection:
         client.on_message = lambda c, u, message: self._received(message)
         client.on_subscribe = lambda c, u, mid, reasons, p: self._answer(mid, reasons)
         client.on_unsubscribe = lambda c, u, mid, reasons, p: self._answer(mid, reasons)
-        client.on_publish = lambda c, u, mid, reason, p: self._published(mid, reason)
         client.on_socket_close = lambda c, u, sock: self._unwatch()
         self._client = client
 
@@ -389,6 +388,9 @@ class Connection:
         Raises:
             Lost: the connection broke.
         """
+        if message.qos:
+            # With it paho makes a reason code and properties for each message, which doubles the cost of one with QoS 0.
+            self._client.on_publish = lambda c, u, mid, reason, p: self._published(mid, reason)
         info = self._client.publish(message.topic, message.payload, message.qos, message.retain)
         if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:
             self.abort()
