@@ -280,7 +280,7 @@ def said(found: Standing) -> str:
         f"{counted(len(names), noun)} {what} ({_some(names)})"
         for names, noun, what in (
             (tuple(found.failed), "row", "violated"),
-            (found.unattributed, "item", "failed without a finding about a row"),
+            (found.unattributed, "item", "failed for what is no row of the protocol"),
             (found.not_run, "row", "not shown"),
             (found.absent, "row", "not asked for"),
         )

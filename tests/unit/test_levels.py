@@ -167,7 +167,7 @@ def test_a_failure_that_is_about_no_row_denies_every_level() -> None:
     for entry in (dead, blamed(dead, None), blamed(dead, "ACME 7")):
         found = stands([*all_passed().values(), entry])
         assert (found.level, found.unattributed) == (None, ("M1",))
-        assert said(found) == "Modbus: no level; for Bronze: 1 item failed without a finding about a row (M1)"
+        assert said(found) == "Modbus: no level; for Bronze: 1 item failed for what is no row of the protocol (M1)"
 
 
 def test_a_failure_about_a_row_of_another_protocol_denies_every_level() -> None:
