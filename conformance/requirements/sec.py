@@ -150,11 +150,11 @@ def _elsewhere(at: Rig, names: tuple[str, ...]) -> dict[str, object]:
     "SEC-003", "The adapter has one account, and goes on with no other.", launch=SECURE, facets=ACCOUNT
 )
 async def one_account(run: Repetition, at: Rig, secure: Rig) -> None:
-    """Read at a device that lets in the adapter's account alone; read while it lets in everybody else, with any account or none; read while it lets
-    in the account, which may not read any more; read as at first.
+    """Read at a device that lets in the adapter's account alone; read while it lets in everybody else, with any account or none; start the adapter
+    anew, and read while it lets in the account; read while the account may not read any more; read as at first.
 
-    Said: success; a failure, best with `auth_failed` or `access_denied`; a failure, best with `access_denied`, where the device denied it in this
-        call; success.
+    Said: success; a failure, best with `auth_failed` or `access_denied`; success; a failure, best with `access_denied`, where the device denied
+        it in this call; success.
     Seen: logins of the account, and no other.
     Why: an adapter that goes on as another user, or as nobody, does what nobody has allowed it, and the device's log names the wrong one.
     """
@@ -165,6 +165,8 @@ async def one_account(run: Repetition, at: Rig, secure: Rig) -> None:
     _, reply = await read(run, secure)
     _is_told(run, reply, "auth_failed", "access_denied")
     _no_other(run, reply, (await secure.journal())[begun:])
+    # Who tries a refused account no more until he is started again keeps it from being locked.
+    await secure.fresh_session()
     await _let_in(run, secure)
     await secure.device.poke(account="denied")
     if not (secure.subject.claims("recovery") and secure.subject.reconnects):
