@@ -163,7 +163,9 @@ async def one_account(run: Repetition, at: Rig, secure: Rig) -> None:
     await secure.device.poke(account="refused")
     await _control(run, secure)
     _, reply = await read(run, secure)
-    _is_told(run, reply, "auth_failed", "access_denied")
+    tried = any(entry["kind"] == "login" for entry in since(reply, await secure.journal()))
+    # Who waits before he logs in again was not refused in this call.
+    _is_told(run, reply, "auth_failed", "access_denied", *([] if tried else CONNECTION_FAULTS))
     _no_other(run, reply, (await secure.journal())[begun:])
     # Who tries a refused account no more until he is started again keeps it from being locked.
     await secure.fresh_session()
