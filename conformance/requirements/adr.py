@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from functools import partial
@@ -140,27 +139,14 @@ async def _refused(
         nobody: codes that say that there is nothing with this value, where it can be sent.
     """
     reply = await _with(at, operation, inputs, name, value)
-    if reply is not None:
-        await _is_refused(run, at, reply, nobody=nobody)
-
-
-async def _is_refused(run: Repetition, at: Rig, reply: Reply, *, nobody: Sequence[str] = ()) -> None:
+    if reply is None:
+        return
     seen = reply.during(await at.journal())
     codes = (*_OUTSIDE, *nobody, *_relayed(at, seen))
     outcomes = (*NOTHING_SENT, "rejected", *(("unknown",) if nobody else ()))
     run.fails(reply, *codes, outcome=outcomes, requirement="ADR-002", code_requirement="ERR-002")
     if reply.error_code not in nobody:
         run.witnessed(nothing_arrived(at, seen, requirement="ADR-002"))
-
-
-def _is_given(replies: Sequence[Reply]) -> bool:
-    """Tell whether the tool is given an input of which each of these calls had another value: some tools have no place for it."""
-    return len(replies) == 1 or len({_asked_of_the_tool(reply) for reply in replies}) > 1
-
-
-def _asked_of_the_tool(reply: Reply) -> str:
-    request: Any = json.loads(reply.exchange.request or b"{}")
-    return json.dumps(request.get("params", {}).get("arguments"), sort_keys=True)
 
 
 def _relayed(at: Rig, seen: Entries) -> list[str]:
@@ -517,17 +503,11 @@ async def what_is_outside_of_a_domain_is_refused(run: Repetition, at: Rig) -> No
     await a_read_works(run, at)
     await a_write_works(run, at)
     for name, values in asks.outside.items():
-        replies = [
-            (value, reply)
-            for value in values
-            for asked in (reading, writing)
-            if name in asked.inputs and at.subject.accepts_input(asked.operation, name)
-            if (reply := await _with(at, asked.operation, asked.inputs, name, value)) is not None
-        ]
-        for value, reply in replies:
-            if _is_given([other for _, other in replies if other.operation == reply.operation]):
-                nobody = (*_NOBODY, *CONNECTION_FAULTS) if value in asks.unanswered.get(name, ()) else ()
-                await _is_refused(run, at, reply, nobody=nobody)
+        for value in values:
+            for asked in (reading, writing):
+                if name in asked.inputs and at.subject.accepts_input(asked.operation, name):
+                    nobody = (*_NOBODY, *CONNECTION_FAULTS) if value in asks.unanswered.get(name, ()) else ()
+                    await _refused(run, at, asked.operation, asked.inputs, name, value, nobody=nobody)
     await a_read_works(run, at)
     await a_write_works(run, at)
 

@@ -190,7 +190,7 @@ async def refusals_have_their_code(run: Repetition, mqtt: Rig) -> None:
     # The version is in the CONNECT of the connection that is made now.
     await mqtt.device.poke(disconnect={"client_id": None, "reason_code": _SHUTTING_DOWN})
     await answers_again(run, mqtt)
-    modern = await speaks_mqtt_5(mqtt)
+    modern = speaks_mqtt_5(await mqtt.journal())
     known = wire_codes("pytest_otmcp.protocols.mqtt")
     refused = WireCode(
         key="128", name="Failure", value=_SUBACK_REFUSAL, codes=("access_denied",), outcome="rejected", retry="no"

@@ -68,8 +68,8 @@ async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
         await _unacknowledged(
             run, mqtt, qos, {"packet": "PUBREL" if qos == 2 else "PUBLISH", "action": {"reset": True}}
         )
-    await _unacknowledged(run, mqtt, 1, {"packet": "PUBLISH", "action": {"no_answer": True}})
-    if await speaks_mqtt_5(mqtt):
+    entries = await _unacknowledged(run, mqtt, 1, {"packet": "PUBLISH", "action": {"no_answer": True}})
+    if speaks_mqtt_5(entries):
         for qos in _every_qos(mqtt):
             await _refused(run, mqtt, qos)
     if mqtt.subject.claims("recovery"):
@@ -140,12 +140,13 @@ async def _arrives(
     )
 
 
-async def _unacknowledged(run: Repetition, mqtt: Rig, qos: int, rule: Mapping[str, object]) -> None:
-    """Publish while the broker does not acknowledge; then it does again."""
+async def _unacknowledged(run: Repetition, mqtt: Rig, qos: int, rule: Mapping[str, object]) -> Entries:
+    """Publish while the broker does not acknowledge; then it does again. Return what the broker has seen until the former."""
     await mqtt.device.fault(rule)
     payload, reply = await _publish(run, mqtt, qos)
     await mqtt.device.fault()
-    run.witnessed(_acknowledged(reply, await mqtt.journal(), payload))
+    entries = await mqtt.journal()
+    run.witnessed(_acknowledged(reply, entries, payload))
     if not reply.success:
         run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
     asked = some_read(run, mqtt) or Asked(
@@ -154,6 +155,7 @@ async def _unacknowledged(run: Repetition, mqtt: Rig, qos: int, rule: Mapping[st
     for poke in asked.pokes:
         await mqtt.device.poke(**poke)
     await until_it_works(run, mqtt, asked.operation, **asked.inputs)
+    return entries
 
 
 async def _refused(run: Repetition, mqtt: Rig, qos: int) -> None:

@@ -27,9 +27,9 @@ def nonce(run: Repetition) -> str:
     return f"{run.rng.getrandbits(48):012x}"
 
 
-async def speaks_mqtt_5(mqtt: Rig) -> bool:
-    """Return whether the adapter's connections that the journal has are of MQTT 5."""
-    connects = [entry for entry in await mqtt.journal() if entry["kind"] == "CONNECT" and entry["origin"] == ADAPTER]
+def speaks_mqtt_5(entries: Entries) -> bool:
+    """Tell whether connections of the adapter's are of MQTT 5."""
+    connects = [entry for entry in entries if entry["kind"] == "CONNECT" and entry["origin"] == ADAPTER]
     return any(entry.get("protocol_level") == _LEVEL_5 for entry in connects)
 
 
