@@ -347,7 +347,7 @@ class AdapterFacts(TypedDict):
     ``recovery_s``: the time within which work goes on after an outage. ``call_limit``: the most calls that the adapter takes.
     ``lists``: the lists of the protocol's own keys.
     ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
-    ``lacks``: optional inputs that no tool takes. ``offered``: voluntary facets that bindings and launches claim; absent where there are none.
+    ``lacks``: inputs that no tool takes. ``offered``: voluntary facets that bindings and launches claim; absent where there are none.
     ``bounds``: what it was told to allow, where the subject file says so; ``times``, ``governance``, ``scopes`` and ``ready`` likewise.
     ``secured``: what each handshake of the variant ``secure`` has to have in the journal, where the subject file says what was configured. ``commands``: its named commands, each with the operation that it
     performs; absent where there are none.

@@ -19,13 +19,14 @@ request to the last reply.
 from __future__ import annotations
 
 import ast
+import dis
 import inspect
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any, NoReturn, Protocol
 
 from ..core import files
@@ -164,7 +165,14 @@ def _checked(name: str, function: Callable[..., object], protocol: str, where: s
         inputs = ", ".join(asked)
         expected = f"{name}(tools{', *, ' + inputs if inputs else ''})"
         raise UsageError(f"{where}: {name} must be callable as {expected}") from None
-    return Function(name=name, call=function, parameters=frozenset(inspect.signature(function).parameters))
+    parameters = frozenset(inspect.signature(function).parameters)
+    return Function(name=name, call=function, parameters=parameters, uses=parameters & _used(function.__code__))
+
+
+def _used(code: CodeType) -> set[str]:
+    """Return the names of the variables that a function, or a function within it, reads."""
+    found = {str(one.argval) for one in dis.get_instructions(code) if one.opname.startswith("LOAD_")}
+    return found.union(*(_used(inner) for inner in code.co_consts if isinstance(inner, CodeType)))
 
 
 def checked_outputs(function: Function, protocol: str, returned: object) -> Mapping[str, Any]:

@@ -361,11 +361,13 @@ class Function:
     Attributes:
         call: ``async def operation(tools, **inputs) -> outputs``; see :mod:`pytest_otmcp.subject.functions`.
         parameters: names of its parameters.
+        uses: those of them that its code does something with.
     """
 
     name: str
     call: Callable[..., Awaitable[Mapping[str, Any]]]
     parameters: frozenset[str] = frozenset()
+    uses: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -699,13 +701,33 @@ class Adapter:
         return facts
 
     def missing_inputs(self) -> set[str]:
-        """Return the optional inputs that no binding has a place for, such as ``subscribe.qos``."""
-        return {
-            f"{name}.{optional}"
+        """Return the inputs that no binding has a place for, such as ``subscribe.qos``."""
+        bound = {
+            name: operation
             for name, operation in protocols()[self.protocol].operations.items()
-            for optional in operation.optional
-            if name in self.operations and self.why_not_testable(f"{name}.{optional}") is not None
+            if name in self.operations
         }
+        optional = {
+            f"{name}.{optional}"
+            for name, operation in bound.items()
+            for optional in operation.optional
+            if self.why_not_testable(f"{name}.{optional}") is not None
+        }
+        return optional | {
+            f"{name}.{given}"
+            for name, operation in bound.items()
+            for given in operation.inputs
+            if given != operation.waits and not self._takes(self.operations[name], given)
+        }
+
+    @staticmethod
+    def _takes(bound: Function | tuple[Binding, ...], given: str) -> bool:
+        """Tell whether what a tool is asked depends on an input."""
+        if isinstance(bound, Function):
+            return given in bound.uses
+        return any(
+            case.command is not None or case.resource or case.mentions(given) or given in case.when for case in bound
+        )
 
     def unjudged(self) -> set[str]:
         """Return the outputs that tasks could judge if the subject file said where they are, and ``messages.topic`` where messages have none."""

@@ -469,3 +469,34 @@ def test_a_secret_variable_gets_its_value_from_the_kit(tmp_path: Path) -> None:
     file.write_text(SECRETS.replace("SHORT =", "MQTT_PASSWORD ="), encoding="utf-8")
     with pytest.raises(UsageError, match=r"adapter\.mqtt\.secret_env: MQTT_PASSWORD has a value in 'env'"):
         load_subject(file)
+
+
+def test_an_input_that_no_tool_is_given_is_known(tmp_path: Path) -> None:
+    (tmp_path / "bindings.py").write_text(
+        "async def write_db(tools, *, db, start, type, value):\n"
+        "    def place():\n"
+        "        return start\n"
+        "    return await tools.call('write', place=place(), value=value)\n",
+        encoding="utf-8",
+    )
+    file = tmp_path / "otmcp.toml"
+    file.write_text(
+        """
+        [subject]
+        name = "acme"
+        version = "1"
+
+        [adapter.s7]
+        command = ["acme"]
+        bindings = "bindings.py"
+
+        [adapter.s7.bind.read_typed]
+        tool = "read"
+        when = { type = "INT" }
+        arguments = { at = "$start" }
+        result.value = "value"
+        """,
+        encoding="utf-8",
+    )
+    adapter = load_subject(file).adapters["s7"]
+    assert adapter.missing_inputs() == {"read_typed.db", "write_db.db", "write_db.type"}
