@@ -21,6 +21,7 @@ from .page import side_by_side
 from .records import RECORDS, REPS, recorded, stored, take
 from .wire import wire
 
+
 def test_every_other_example_has_a_record() -> None:
     assert set(recorded()) == set(NAMES)
 
