@@ -22,7 +22,7 @@ from .records import RECORDS, REPS, recorded, stored, take
 from .wire import wire
 
 
-def test_every_other_example_has_a_record() -> None:
+def test_every_example_has_a_record() -> None:
     assert set(recorded()) == set(NAMES)
 
 
