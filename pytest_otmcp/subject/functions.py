@@ -19,14 +19,14 @@ request to the last reply.
 from __future__ import annotations
 
 import ast
-import dis
 import inspect
 import json
+import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import ModuleType
 from typing import Any, NoReturn, Protocol
 
 from ..core import files
@@ -141,6 +141,7 @@ def named_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
             name=node.name,
             call=_never_called,
             parameters=frozenset(argument.arg for argument in (*node.args.args, *node.args.kwonlyargs)),
+            uses=_used(node),
         )
         for node in nodes
     }
@@ -166,13 +167,17 @@ def _checked(name: str, function: Callable[..., object], protocol: str, where: s
         expected = f"{name}(tools{', *, ' + inputs if inputs else ''})"
         raise UsageError(f"{where}: {name} must be callable as {expected}") from None
     parameters = frozenset(inspect.signature(function).parameters)
-    return Function(name=name, call=function, parameters=parameters, uses=parameters & _used(function.__code__))
+    try:
+        uses = _used(ast.parse(textwrap.dedent(inspect.getsource(function))))
+    except (OSError, SyntaxError):
+        # One that the file has made otherwise may use them all.
+        uses = parameters
+    return Function(name=name, call=function, parameters=parameters, uses=uses)
 
 
-def _used(code: CodeType) -> set[str]:
-    """Return the names of the variables that a function, or a function within it, reads."""
-    found = {str(one.argval) for one in dis.get_instructions(code) if one.opname.startswith("LOAD_")}
-    return found.union(*(_used(inner) for inner in code.co_consts if isinstance(inner, CodeType)))
+def _used(node: ast.AST) -> frozenset[str]:
+    """Return the names that a function, or a function within it, reads."""
+    return frozenset(one.id for one in ast.walk(node) if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Load))
 
 
 def checked_outputs(function: Function, protocol: str, returned: object) -> Mapping[str, Any]:
