@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import itertools
 import json
+import os
 import signal
 import sys
 import tempfile
@@ -40,6 +41,8 @@ _LAUNCH_TIMEOUT_S = 60.0
 _STARVED_S = 540.0
 """Seconds for which a mock may wait for a processor beside that: all mocks and adapters of a run start at once."""
 _ANSWER_TIMEOUT_S = 20.0
+_BEFORE_OTHERS = -20
+"""Priority of a mock whose clients have no patience (setpriority(2))."""
 _LINE_LIMIT = 64 * 1024 * 1024
 _STDERR_KEPT = 8192
 _EXHAUSTED = 75
@@ -199,6 +202,10 @@ class MockDevice:
             )
             assert self._launcher.stderr is not None
             self._stderr = asyncio.create_task(_end_of(self._launcher.stderr), name=f"otmcp-stderr-{self._name}")
+            if described is not None and described.cable:
+                # Masters wait a few milliseconds for a frame (SOEM: 2), and a real device is not slowed down by what runs on this machine.
+                with contextlib.suppress(PermissionError, ProcessLookupError):
+                    os.setpriority(os.PRIO_PROCESS, self._launcher.pid, _BEFORE_OTHERS)
             await self._ready()
         except (OSError, RuntimeError) as error:
             if (cure := exhausted(error)) is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -12,6 +13,7 @@ import pytest
 
 from pytest_otmcp.core.matrix import BENCHMARK
 from pytest_otmcp.plant.devices import Plant
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.record.schema import Item
 from pytest_otmcp.record.warnings import failing, findings_of
 from pytest_otmcp.session.loop import LoopThread
@@ -63,12 +65,18 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
     loop.run(shared.close())
 
 
+def on_cable(name: str) -> bool:
+    """Tell whether an adapter speaks a protocol that takes a cable."""
+    described = tomllib.loads((EXAMPLES / name / "otmcp.toml").read_text(encoding="utf-8"))
+    return any(protocols()[key].cable for key in described["adapter"])
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     [
-        # A minute or more each.
-        pytest.param(name, marks=pytest.mark.weekly if number % 6 != 2 else ())
+        # A minute or more each. PySOEM waits 20 ms for a frame, which beside five more workers is too little now and then.
+        pytest.param(name, marks=pytest.mark.weekly if number % 6 != 2 or on_cable(name) else ())
         for number, name in enumerate(recorded())
     ],
 )

@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 import pytest_asyncio
 from mock_program import MockProgram
@@ -102,3 +103,17 @@ async def test_an_adapter_behind_walls_has_the_cable_and_its_packet_sockets_are_
     assert said == [b"ping otmcp0 ['lo', 'otmcp0']"]
     [asked] = [entry for entry in (await walled.journal(0)).entries if entry["kind"] == "ASK"]
     assert asked["origin"] == "client"
+
+
+async def test_a_device_on_a_cable_goes_before_other_programs() -> None:
+    may = subprocess.run(["nice", "-n", "-20", "true"], capture_output=True, check=False).stderr == b""
+    isolation, device = Isolation(AUTO), MockDevice("ethercat")
+    device.walls = isolation.walls(cable=True)
+    try:
+        await device.launch()
+        own = [each for each in psutil.Process().children(recursive=True) if "pytest_otmcp.mocks" in each.cmdline()]
+        assert len(own) >= 2, "the launcher and the device"
+        assert {each.nice() for each in own} == {-20 if may else 0}
+    finally:
+        await device.close()
+        isolation.close()
