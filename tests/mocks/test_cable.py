@@ -106,7 +106,8 @@ async def test_an_adapter_behind_walls_has_the_cable_and_its_packet_sockets_are_
 
 
 async def test_a_device_on_a_cable_goes_before_other_programs() -> None:
-    may = subprocess.run(["nice", "-n", "-20", "true"], capture_output=True, check=False).stderr == b""
+    trying = await asyncio.create_subprocess_exec("nice", "-n", "-20", "true", stderr=subprocess.PIPE)
+    may = await trying.communicate() == (None, b"")
     isolation, device = Isolation(AUTO), MockDevice("ethercat")
     device.walls = isolation.walls(cable=True)
     try:
