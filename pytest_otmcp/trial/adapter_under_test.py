@@ -107,6 +107,9 @@ _OTHER_ADDRESS = "127.0.0.2"
 _READY_PAUSE_S = 0.05
 """Time between two questions whether the adapter is ready."""
 
+_MOST_FAILED_STARTS = 2
+"""Starts in a row that may fail before an adapter is not started any more."""
+
 _COMMAND_S = 30.0
 """Time within which a command of the subject file, such as its verifier, has ended."""
 
@@ -199,7 +202,7 @@ class AdapterUnderTest:
         self.unmet: set[str] = set()
         self._options = options
         self._allowance = allowance or Allowance()
-        self._start_failure: SubjectError | None = None
+        self._failed_starts: list[SubjectError] = []
         self.unconnected = False
         self._work: tempfile.TemporaryDirectory[str] | None = None
         self._token: str | None = None
@@ -576,12 +579,12 @@ class AdapterUnderTest:
         """Make sure that there is a usable session.
 
         Raises:
-            SubjectError: the adapter cannot be started. A failure that was found before is raised again at once, so that
-                not every item waits for a start that runs into its deadline.
+            SubjectError: the adapter cannot be started. Once that was so twice in a row it is raised again at once, so that
+                not every item waits for a start that runs into its deadline. One failed start proves nothing about the next.
             NoBindingError: so it is because the tap before a real device cannot see what it asks for.
         """
-        if self._start_failure is not None:
-            raise self._start_failure
+        if len(self._failed_starts) == _MOST_FAILED_STARTS:
+            raise self._failed_starts[-1]
         if self.session is not None and not self.session.died:
             return
         await self.close()
@@ -610,8 +613,9 @@ class AdapterUnderTest:
                 self.device.excuse()
             # Without its device, or at one that refuses it as the kit has told it to, an adapter may have failed to start for that reason.
             well = self.device.running and not self.device.faulty
-            self._start_failure = failure if well else None
+            self._failed_starts = [*self._failed_starts, failure] if well else []
             raise
+        self._failed_starts = []
 
     async def excuse(self) -> None:
         """Make sure that a failure at a real device which is not due is the adapter's own.
@@ -643,7 +647,7 @@ class AdapterUnderTest:
             await self.open()
         except SubjectError:
             # To refuse to start is as good as to refuse to write.
-            self._start_failure = None
+            self._failed_starts = []
             return False
         finally:
             self._garbled, self._withheld = {}, ()
@@ -661,7 +665,7 @@ class AdapterUnderTest:
             await self.open()
         except SubjectError:
             # A server need not speak the older revisions.
-            self._start_failure = None
+            self._failed_starts = []
             self._by_handshake, self._refuses_handshake = False, True
             return None
         assert self.session is not None

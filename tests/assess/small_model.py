@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 MOST_TURNS = 6
+_DESCRIBED = 40
+"""Letters that the model is told of what a tool does."""
 
 MODEL = """
 import json, sys, needle
@@ -82,12 +84,12 @@ async def main(python: str, servers: dict[str, Any], prompt: str) -> str:
 
 
 def in_short(name: str, description: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return a tool in few words: the model reads some ten of them in a second."""
+    """Return a tool in few words, of its first sentence the first: the model reads some ten in a second."""
     properties = {
         argument: {"type": about.get("type", "number")} for argument, about in schema.get("properties", {}).items()
     }
     parameters = {"type": "object", "properties": properties, "required": schema.get("required", [])}
-    return {"name": name, "description": description.split(". ")[0][:90], "parameters": parameters}
+    return {"name": name, "description": description.split(". ")[0][:_DESCRIBED], "parameters": parameters}
 
 
 def asked_of(prompt: str) -> str:

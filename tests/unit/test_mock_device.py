@@ -215,6 +215,49 @@ async def test_a_start_that_failed_at_a_device_with_a_fault_is_tried_again_witho
             await under_test.close()
 
 
+# An adapter that does not start so many times, and says in a file how often it was started.
+RELUCTANT = """
+import pathlib, sys
+from mcp.server import MCPServer
+
+tries = pathlib.Path(sys.argv[1])
+tries.write_text(tries.read_text() + "x" if tries.exists() else "x")
+if len(tries.read_text()) <= int(sys.argv[2]):
+    sys.exit("not yet")
+MCPServer("reluctant").run()
+"""
+
+
+# An adapter that ends at once is started a second time, with the handshake of 2025: that is one start here.
+@pytest.mark.parametrize(
+    ("failing", "starts", "outcomes"), [(2, 3, ["cannot_start", *["open"] * 3]), (9, 4, ["cannot_start"] * 4)]
+)
+async def test_an_adapter_that_did_not_start_once_is_started_for_the_next_item_and_after_two_failures_no_more(
+    tmp_path: Path, failing: int, starts: int, outcomes: list[str]
+) -> None:
+    (tmp_path / "reluctant.py").write_text(RELUCTANT)
+    tries, subject = tmp_path / "tries", tmp_path / "otmcp.toml"
+    subject.write_text(
+        '[subject]\nname = "x"\nversion = "1"\n[adapter.modbus]\n'
+        f'command = ["{sys.executable}", "{{dir}}/reluctant.py", "{tries}", "{failing}"]\n[adapter.modbus.bind]\n'
+    )
+    async with running("modbus") as device:
+        under_test = AdapterUnderTest(load_subject(subject).adapters["modbus"], "rw", device, BenchOptions())
+        found = []
+        try:
+            for _ in range(4):
+                try:
+                    await under_test.open()
+                except SubjectError as error:
+                    found.append(error.code)
+                else:
+                    found.append("open")
+        finally:
+            await under_test.close()
+    assert found == outcomes
+    assert len(tries.read_text()) == starts
+
+
 @pytest.mark.usefixtures("third_parties")
 async def test_an_adapter_is_told_all_endpoints_where_it_is_launched_and_asked_to_connect(tmp_path: Path) -> None:
     subject = tmp_path / "otmcp.toml"
