@@ -1,6 +1,6 @@
 """The items of a real device: what can be judged where no value can be set, and nothing is written or cut off but with consent.
 
-Three witnesses are asked: the adapter's reply, the tap that all of its requests pass, and a second client straight at the device. What the
+Three witnesses are asked: the adapter's reply, the tap that all of its requests pass, or a capture beside it, and a second client straight at the device. What the
 device does by itself is nobody's fault: values may move, so that only what both looks at the device agree on is demanded.
 """
 
@@ -81,8 +81,8 @@ async def _call(at: Rig, asked: Asked, *due: str) -> Reply:
 async def read_what_is_there(run: Repetition, at: Rig) -> None:
     """Read values that differ, one by one and several at once, by each operation that reads; then the first one again.
 
-    Said: what the second client reads before and after; where it reads two values, one of them or what passed the tap meanwhile.
-    Seen: at the tap a read of what was asked for, during the call, and nothing that changes the plant.
+    Said: what the second client reads before and after; where it reads two values, one of them or what was on the wire meanwhile.
+    Seen: on the wire a read of what was asked for, during the call, and nothing that changes the plant.
     Why: a value from memory, from a neighbour or from another device looks right until somebody acts on it.
     """
     field, before = _field(at), await _image(at)
@@ -131,7 +131,7 @@ async def read_what_is_not_there(run: Repetition, at: Rig) -> None:
     """Read what is not there, as the device has told the second client.
 
     Said: a failure.
-    Seen: at the tap nothing that changes the plant.
+    Seen: on the wire nothing that changes the plant.
     Why: a zero for what is not there is a value as good as any to an assistant.
     """
     asked = _field(at).beyond(await _image(at), at.subject.claims)
@@ -237,7 +237,7 @@ async def cut_off_and_back(run: Repetition, at: Rig) -> None:
 
     Said: values; failures with `connect_failed`, `connection_lost` or `timeout`; within the time that the subject declares, counted from
         when the second client reads again, the values that it reads.
-    Seen: at the tap the reads after the device is back, and nothing that changes the plant.
+    Seen: on the wire the reads after the device is back, and nothing that changes the plant.
     Why: a device whose power fails closes no connection; a value of before that looks like one of now hides it from whoever has to act.
     """
     field = _field(at)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterable, Mapping
 from importlib import import_module
+from pathlib import Path
 
 from ..core.walls import OFF
 from ..protocols.external import BROKER, external_devices
@@ -13,7 +14,7 @@ from ..protocols.protocol import LAUNCHES, SECURE
 from ..protocols.registry import protocols
 from ..session.isolation import Isolation
 from .device import Device
-from .field_device import UnrestoredError
+from .field_device import FieldDevice, UnrestoredError
 from .mock_device import MockDevice
 
 __all__ = ["Plant"]
@@ -27,6 +28,7 @@ class Plant:
         isolation: of the adapters, or None for none.
         outside: protocol to the reason why its adapter needs the network of the machine; empty where it does not.
         consents: protocol to what may be written to its real device.
+        capture: file that shows what goes to the real device of the run, in place of the tap; None for the tap.
     """
 
     def __init__(
@@ -35,7 +37,9 @@ class Plant:
         isolation: Isolation | None = None,
         outside: Mapping[str, str] | None = None,
         consents: Mapping[str, Consent] | None = None,
+        capture: Path | None = None,
     ) -> None:
+        self._capture = capture
         self._consents = dict(consents or {})
         self._isolation = isolation
         self._own: Isolation | None = None
@@ -70,10 +74,12 @@ class Plant:
         # A kind of device that takes no consent has none.
         consent = [self._consents[key]] if key in self._consents else []
         device: Device = getattr(import_module(module), name)(self._external[key], *consent)
+        if isinstance(device, FieldDevice):
+            device.capture = self._capture
         return device
 
     def _why_outside(self, key: str) -> str:
-        if key in self._external and external_devices()[key].option == BROKER:
+        if key in self._external and (external_devices()[key].option == BROKER or self._capture is not None):
             return f"the device for {protocols()[key].name} is {self._external[key]}"
         return f"{protocols()[key].name}: {why}" if (why := self._outside.get(key)) else ""
 

@@ -1,7 +1,8 @@
 """A real device of the user's: read-only but for what a person consents to.
 
 Two witnesses see what an adapter does there. The *wire* is the kit's tap, whose address is all that the adapter gets; it withholds
-every frame that is not known to be harmless. The *state* is a client of the kit's own, straight at the device. The kit never loads or disturbs
+every frame that is not known to be harmless. Where the adapter's address cannot be changed, a *mirror* takes its place. The *state* is a
+client of the kit's own, straight at the device. The kit never loads or disturbs
 such a device, and stops and starts it by the commands of a consent alone.
 """
 
@@ -15,6 +16,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
 from ..core.errors import KitError, MeddledError, NoBindingError, UsageError
@@ -23,6 +25,7 @@ from ..protocols.registry import protocols
 from ..record.schema import Witnesses
 from ..wire.framing import FrameLength, Framer, MalformedError
 from .endpoint import Endpoint
+from .mirror import Mirror, OwnConnections
 from .tapped_device import TappedDevice
 
 __all__ = ["FieldDevice", "Gate", "ReadingClient", "SecondClient", "UnreachableError", "UnrestoredError", "connected"]
@@ -42,12 +45,18 @@ class UnreachableError(Exception):
 
 @asynccontextmanager
 async def connected(
-    address: tuple[str, int], frame_length: FrameLength, spoken: str, *, alone: bool = False
+    address: tuple[str, int],
+    frame_length: FrameLength,
+    spoken: str,
+    *,
+    alone: bool = False,
+    own: OwnConnections | None = None,
 ) -> AsyncIterator[Callable[[bytes], Awaitable[bytes]]]:
     """Connect to a device; give a function that sends a frame and returns the next one of the device.
 
     Args:
         alone: the device may take one connection at a time, so this one has ended only when the device has closed it too.
+        own: is told of the connection.
 
     Raises:
         UnreachableError: there is no connection, or no frame of the protocol ``spoken``.
@@ -56,6 +65,8 @@ async def connected(
     try:
         async with asyncio.timeout(_ANSWER_TIMEOUT_S):
             reader, writer = await asyncio.open_connection(*address)
+        if own is not None:
+            own.note(writer.transport)
 
         async def exchange(frame: bytes) -> bytes:
             writer.write(frame)
@@ -95,11 +106,13 @@ class SecondClient(Protocol):
         name: of the client, for the record.
         elsewhere: an example of what may stand behind the port of a URL.
         library: on which it is built, as the list of libraries has it; None for the kit's own codec.
+        own: is told of each connection; None where a capture is no witness, because there are none, or the device takes one at a time.
     """
 
     name: str
     elsewhere: str
     library: str | None
+    own: OwnConnections | None
 
     async def identity(self) -> str | None:
         """Return what the device says of itself; None where it says nothing."""
@@ -129,6 +142,7 @@ class ReadingClient(ABC):
 
     taken: str
     library: str | None = None
+    own: OwnConnections | None = None
 
     @abstractmethod
     async def read(self) -> dict[str, object]:
@@ -204,16 +218,19 @@ class FieldDevice(TappedDevice):
         gate: what decides which frames pass.
         library: of the second client.
         witnesses: who saw what, for the record.
+        capture: file that is the witness of the wire instead of the tap: the adapter gets the device's own address, and nothing is held back.
+            It is set before the launch.
     """
 
     def __init__(self, key: str, url: str, target: Endpoint, client: SecondClient, consent: Consent | None) -> None:
         protocol = protocols()[key]
         if protocol.real is None or protocol.framing is None:
             raise KitError(f"the kit takes no real device for {protocol.name}")
-        self._field = protocol.real
+        self._field, self._framing = protocol.real, protocol.framing
         self.gate = Gate(protocol.real, consent)
         rewrite = None if protocol.real.led is None else self._led
         super().__init__(f"{protocol.name} device {url}", target, protocol.framing, self.gate, rewrite)
+        self.capture: Path | None = None
         self._client = client
         self.library = client.library
         self._consent = consent
@@ -224,6 +241,35 @@ class FieldDevice(TappedDevice):
         self._is_cut_off = False
         self._switching: asyncio.Task[str] | None = None
         self.witnesses: Witnesses = {"wire": "the kit's tap", "state": client.name, "identity": None}
+
+    async def launch(self) -> None:
+        """Make sure that the device is there, and start the tap, or what takes its place.
+
+        Raises:
+            UsageError: the device is not there, or a capture can be no witness for it.
+        """
+        if self.capture is not None:
+            self._mirror(self.capture)
+        await super().launch()
+
+    def _mirror(self, capture: Path) -> None:
+        if self._client.own is None:
+            raise UsageError(f"--otmcp-mirror: a capture is no witness for the {self.noun}; name it without one")
+        if self._consent is not None and self._consent.writable:
+            raise UsageError(
+                "--otmcp-mirror: a capture holds nothing back, so nothing is written: leave out [[writable]]"
+            )
+        target = self._target
+        self.tap = Mirror(capture, target.host, target.port, self._framing, self._watch, self._client.own)
+        self.witnesses = {"mirror": f"the capture {capture.name}", "state": self._client.name, "identity": None}
+
+    def _watch(self, frame: bytes) -> None:
+        """Note what nobody can see into, of a frame that nobody holds back."""
+        try:
+            if not self._field.harmless(frame):
+                self.gate.unseen = self._field.unseen(frame) or self.gate.unseen
+        except MalformedError:
+            return
 
     def _led(self, frame: bytes) -> bytes | None:
         """Return a frame of the device that leads its client to the tap; one that cannot be read leads nowhere."""

@@ -17,6 +17,7 @@ from ..protocols.modbus.field import TABLES
 from ..wire.modbus import WRITE_COIL, WRITE_REGISTER, frame, mbap_length, response_fields
 from .endpoint import Endpoint
 from .field_device import FieldDevice, UnreachableError, connected
+from .mirror import OwnConnections
 
 __all__ = ["ModbusClient", "ModbusFieldDevice"]
 
@@ -50,6 +51,7 @@ class ModbusClient:
     library: str | None = None
 
     def __init__(self, host: str, port: int, first: int) -> None:
+        self.own: OwnConnections | None = OwnConnections()
         self._address = (host, port)
         self._first = first
         self._blocks: dict[str, int] = {}
@@ -115,7 +117,7 @@ class ModbusClient:
 
     @asynccontextmanager
     async def _connection(self) -> AsyncIterator[Ask]:
-        async with connected(self._address, mbap_length, "Modbus TCP") as exchange:
+        async with connected(self._address, mbap_length, "Modbus TCP", own=self.own) as exchange:
             number = 0
 
             async def ask(pdu: bytes) -> bytes:

@@ -23,6 +23,7 @@ from ..protocols.field import Consent
 from ..protocols.opcua.external import EXTERNAL
 from .endpoint import Endpoint
 from .field_device import FieldDevice, UnreachableError
+from .mirror import OwnConnections
 
 __all__ = ["OpcUaClient", "OpcUaFieldDevice"]
 
@@ -65,6 +66,7 @@ class OpcUaClient:
     library: str | None = "asyncua"
 
     def __init__(self, host: str, port: int, first: str) -> None:
+        self.own: OwnConnections | None = OwnConnections()
         self._url = f"opc.tcp://{in_url(host)}:{port}"
         self._first = first
         self._nodes: list[str] = []
@@ -131,6 +133,8 @@ class OpcUaClient:
     async def _connection(self) -> AsyncIterator[Any]:
         try:
             async with asyncio.timeout(4 * _ANSWER_TIMEOUT_S), Client(self._url, timeout=_ANSWER_TIMEOUT_S) as client:
+                if self.own is not None:
+                    self.own.note(client.uaclient.protocol.transport)
                 yield client
         except TimeoutError:
             raise UnreachableError("it does not answer") from None

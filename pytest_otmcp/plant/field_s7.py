@@ -18,6 +18,7 @@ from ..wire.framing import MalformedError
 from ..wire.s7 import JOB, SUCCESS, USER_DATA, Pdu, answer_fields, data_frame, tpkt_length
 from .endpoint import Endpoint
 from .field_device import FieldDevice, ReadingClient, UnreachableError, connected
+from .mirror import OwnConnections
 
 __all__ = ["S7Client", "S7FieldDevice"]
 
@@ -53,6 +54,7 @@ class S7Client(ReadingClient):
     taken = "S7 controllers"
 
     def __init__(self, host: str, port: int, db: int) -> None:
+        self.own: OwnConnections | None = OwnConnections()
         self._address = (host, port)
         self._db = db
         self._size = 0
@@ -88,7 +90,7 @@ class S7Client(ReadingClient):
 
     @asynccontextmanager
     async def _connection(self) -> AsyncIterator[Ask]:
-        async with connected(self._address, tpkt_length, "S7") as exchange:
+        async with connected(self._address, tpkt_length, "S7", own=self.own) as exchange:
             if (await exchange(_CONNECT))[5] != _CONFIRMED:
                 raise UnreachableError("it refuses a connection to rack 0, slot 1")
             number = 0

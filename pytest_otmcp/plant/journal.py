@@ -105,9 +105,10 @@ class DeviceJournal:
             rest_s = end - time.monotonic()
             if len(found) >= count or rest_s <= 0:
                 return found
-            await (more or self._recorded)(rest_s)
+            await (more or self.recorded)(rest_s)
 
-    async def _recorded(self, timeout_s: float) -> None:
+    async def recorded(self, timeout_s: float) -> None:
+        """Return when something was recorded, or after so many seconds."""
         self._news.clear()
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._news.wait(), timeout_s)
@@ -137,12 +138,13 @@ class DeviceJournal:
         kind: str,
         *,
         origin: Origin = "client",
+        passed_ns: int | None = None,
         **fields: object,
     ) -> None:
-        """Record an event that is no frame."""
+        """Record an event that is no frame, of now or of ``passed_ns`` of the monotonic clock."""
         self._catch_up()
         message = Message(direction=direction, kind=kind, fields=fields)
-        self._append(time.monotonic_ns(), connection, message, origin, None, {})
+        self._append(passed_ns or time.monotonic_ns(), connection, message, origin, None, {})
         self._news.set()
 
     def _catch_up(self) -> None:

@@ -137,6 +137,7 @@ class TappedDevice:
 
     async def mark(self) -> int:
         """Return the sequence number that the next journal entry will get."""
+        await self.tap.settle()
         return self.tap.journal.next
 
     async def first(self) -> int:
@@ -149,6 +150,7 @@ class TappedDevice:
         Raises:
             KitError: the oldest of them were released, or have given way to newer ones.
         """
+        await self.tap.settle()
         journal = self.tap.journal
         check_kept(since, journal.first)
         return Journal(entries=self.sessions.attribute(journal.since(since), journal.peers), next=journal.next)
@@ -166,12 +168,13 @@ class TappedDevice:
         Raises:
             KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.
         """
+        await self.tap.settle()
         journal = self.tap.journal
         # Whose an entry is, is decided afterwards.
         fields = {name: value for name, value in match.items() if name != "origin"}
 
         async def look(count: int, timeout_s: float) -> list[JournalEntry]:
-            entries = await journal.wait(since, fields, count, timeout_s)
+            entries = await journal.wait(since, fields, count, timeout_s, self.tap.more)
             check_kept(since, journal.first)
             return self.sessions.attribute(entries, journal.peers)
 

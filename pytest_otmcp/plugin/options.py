@@ -68,6 +68,11 @@ _OPTIONS = {
         "FILE",
         "what a person allows to be written to the real device; without it nothing is (docs/real-devices.md)",
     ),
+    "mirror": (
+        "FILE",
+        "a capture of what goes to the real device, being written, for an adapter whose address for it cannot be changed: the kit stands "
+        "beside the wire, and asks for reads alone",
+    ),
 }
 
 _DEVICE = "a real device, PROTOCOL=URL, read-only in the mock's place; may be given for several protocols"
@@ -96,6 +101,7 @@ class RunSettings:
         soak: checks that have a long form take it.
         external: protocol to the URL of the user's device in the mock's place.
         consents: protocol to what may be written to its real device.
+        mirror: capture that shows what goes to its one real device, or None.
     """
 
     reps: int
@@ -114,6 +120,7 @@ class RunSettings:
     soak: bool
     external: dict[str, str]
     consents: Mapping[str, Consent]
+    mirror: Path | None
 
     @property
     def devices(self) -> dict[str, dict[str, object]]:
@@ -173,6 +180,11 @@ def read_settings(config: pytest.Config) -> RunSettings:
     for protocol, device in external_devices().items():
         if device.option == BROKER and (value := text(BROKER)) is not None:
             external[protocol] = _check_url(BROKER, device, value)
+    mirror = _existing("mirror", text("mirror"), config.invocation_params.dir)
+    if mirror is not None and len(named) != 1:
+        raise UsageError(
+            f"--otmcp-mirror: it is for one real device, and --otmcp-{DEVICE} names {len(named) or 'none'}"
+        )
     reps = _read_whole_number("reps", text("reps"), DEFAULT_REPS, minimum=1, maximum=100_000)
     return RunSettings(
         reps=reps,
@@ -196,6 +208,7 @@ def read_settings(config: pytest.Config) -> RunSettings:
         soak=config.getoption("otmcp_soak") or config.getini("otmcp_soak"),
         external=external,
         consents={} if consent is None else _read_consents(config.invocation_params.dir / consent, named),
+        mirror=mirror,
     )
 
 

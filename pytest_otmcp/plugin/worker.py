@@ -85,7 +85,7 @@ class Run:
             outside = {protocol: adapter.openings.why_outside for protocol, adapter in self.subject.adapters.items()}
             self._loop, self._plant = (
                 LoopThread(),
-                Plant(self.settings.external, self._isolation, outside, self.settings.consents),
+                Plant(self.settings.external, self._isolation, outside, self.settings.consents, self.settings.mirror),
             )
             with settled():
                 self._loop.run(self._plant.launch(wanted))

@@ -473,9 +473,10 @@ class Settings(TypedDict):
 
 
 class Witnesses(TypedDict):
-    """Who saw what at a real device: ``wire`` all requests, ``state`` what it holds; ``identity``: what the device says of itself."""
+    """Who saw what at a real device: ``wire`` or ``mirror`` all requests, ``state`` what it holds; ``identity``: what the device says of itself."""
 
-    wire: str
+    wire: NotRequired[str]
+    mirror: NotRequired[str]
     state: str
     identity: str | None
 

@@ -537,6 +537,8 @@ def test_a_narrow_terminal_without_colours_shows_progress_and_no_line_breaks_at_
         ("--otmcp-device=opcua=opc.tcp://x/ns=65536;s=a", "--otmcp-device: expected opc.tcp://host:port, found"),
         ("--otmcp-device=modbus=tcp://me:secret@x", "--otmcp-device: expected tcp://host:port"),
         ("--otmcp-consent=nowhere.toml", "--otmcp-consent: "),
+        ("--otmcp-mirror=nowhere.pcap", "nowhere.pcap: there is no such file"),
+        (f"--otmcp-mirror={__file__}", "--otmcp-mirror: it is for one real device, and --otmcp-device names none"),
         ("--otmcp-subject=nowhere.toml", "nowhere.toml: there is no such file"),
     ],
 )

@@ -147,6 +147,7 @@ def judge(loop: LoopThread, warm_start: WarmStart) -> Judge:
         consent: Consent | None = None,
         env: Mapping[str, str] | None = None,
         only: Sequence[str] = (),
+        capture: Path | None = None,
     ) -> Results:
         subject = warm_start.subject(reference_subject())
         if lying:
@@ -161,7 +162,7 @@ def judge(loop: LoopThread, warm_start: WarmStart) -> Judge:
             unclaimed = dict.fromkeys(adapter.operations.keys() - bound.keys(), "not for this test")
             subject = replace(subject, adapters={key: replace(adapter, operations=bound, unclaimed=unclaimed)})
         facts = {key: {"url": url, "consent": None if consent is None else consent.as_record()}}
-        plant = Plant({key: url}, consents={} if consent is None else {key: consent})
+        plant = Plant({key: url}, consents={} if consent is None else {key: consent}, capture=capture)
         bench = Bench(subject, BenchOptions(devices=facts), plant)
         try:
             return loop.run(perform(bench, [task for task in field_tasks().values() if key in task.protocols]))

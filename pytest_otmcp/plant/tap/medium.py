@@ -74,3 +74,10 @@ class MediumOwner:
     def begin_journal(self) -> None:
         """Begin an empty journal that counts from 0 again."""
         self._medium.journal = DeviceJournal(self._conversation)
+
+    async def settle(self) -> None:
+        """Return when the journal has all that has passed until now: at once, as nothing passes without it."""
+
+    async def more(self, timeout_s: float) -> None:
+        """Return when there is more in the journal, or after so many seconds."""
+        await self.journal.recorded(timeout_s)

@@ -11,15 +11,19 @@ import psutil
 
 from ..owners import TOKEN_VARIABLE, PeerProcess
 
-__all__ = ["process_of", "sender_of"]
+__all__ = ["holder_of", "process_of", "sender_of"]
 
 _ANYWHERE = ("0.0.0.0", "::")  # noqa: S104  (what an unbound sender's socket says of itself)
 
 
 def process_of(transport: asyncio.BaseTransport) -> PeerProcess | None:
     """Return the process that has the other end of a TCP connection; None if that cannot be known."""
-    own, peer = transport.get_extra_info("sockname"), transport.get_extra_info("peername")
-    return _process("tcp", lambda one: one.laddr == peer and one.raddr == own)
+    return holder_of(transport.get_extra_info("peername"), transport.get_extra_info("sockname"))
+
+
+def holder_of(end: Any, other: Any) -> PeerProcess | None:
+    """Return the process that has one end of a TCP connection, of which both addresses are given; None if that cannot be known."""
+    return _process("tcp", lambda one: one.laddr == end and one.raddr == other)
 
 
 def sender_of(address: Any) -> PeerProcess | None:

@@ -65,6 +65,16 @@ class Tap(Protocol):
     def begin_journal(self) -> None:
         """Begin an empty journal that counts from 0 again."""
 
+    async def settle(self) -> None:
+        """Return when the journal has all that has passed until now.
+
+        Raises:
+            KitError: what passes cannot be seen any more.
+        """
+
+    async def more(self, timeout_s: float) -> None:
+        """Return when there may be more in the journal, or after so many seconds."""
+
     def inject(self, *rules: FaultRule) -> None:
         """Replace the fault plan, counting from now; without rules everything passes untouched again.
 
