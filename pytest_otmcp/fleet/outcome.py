@@ -52,6 +52,11 @@ class Outcome(StrEnum):
     NOT_RUN = "not run"
 
     @property
+    def is_judged(self) -> bool:
+        """It is the verdict of a record."""
+        return self in (Outcome.CONFORMANT, Outcome.NOT_CONFORMANT, Outcome.DID_NOT_START, Outcome.NARROWED)
+
+    @property
     def tone(self) -> str:
         """How a page colours it."""
         bad = (Outcome.NOT_CONFORMANT, Outcome.DID_NOT_START)

@@ -130,6 +130,10 @@ def refused(fleet: Path, here: Path) -> None:
     (liar / RESULT).write_text(json.dumps({**document, "outcome": "conformant"}))
     done = otmcp("merge", str(fleet), cwd=here)
     assert "says conformant, from its verdict follows not conformant" in sentence(done)
+    for lacking in ({"verdict": None}, {"verdict": told, "packed": None}):
+        (liar / RESULT).write_text(json.dumps({**document, "outcome": "conformant", **lacking}))
+        done = otmcp("merge", str(fleet), cwd=here)
+        assert "says conformant, and not of which record that is the verdict" in sentence(done)
     (liar / RESULT).write_text(json.dumps(document))
     (liar / RECORD).write_bytes((honest / RECORD).read_bytes())
     done = otmcp("merge", str(fleet), cwd=here)
