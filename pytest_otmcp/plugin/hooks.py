@@ -92,6 +92,7 @@ __all__ = [
     "pytest_terminal_summary",
     "pytest_testnodedown",
     "pytest_testnodeready",
+    "pytest_xdist_make_scheduler",
     "pytest_xdist_node_collection_finished",
 ]
 
@@ -372,6 +373,16 @@ def pytest_testnodeready(node: Any) -> None:
     process = getattr(getattr(node.gateway, "_io", None), "popen", None)
     if process is not None:
         _endings(node.config).workers[process.pid] = node
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    if config.getoption("dist") != "load" or not asks_for_suite(config):
+        return None
+    from .distribution import Distribution
+
+    with ignore_warnings():
+        return Distribution(config, log, {name: task.adapters for name, task in required_tasks(config).items()})
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -66,10 +66,11 @@ class Run:
         self._plant: Plant | None = None
         self._bench: Bench | None = None
         self._isolation: Isolation | None = None
+        self._prepared: set[str] = set()
 
-    def _start(self) -> tuple[LoopThread, Bench]:
+    def _start(self, task: Task) -> tuple[LoopThread, Bench]:
         if self._loop is None or self._bench is None:
-            from ..core.errors import KitError, UsageError
+            from ..core.errors import KitError
             from ..plant.devices import Plant
             from ..session.isolation import Isolation
             from ..session.keeper import hide_memory
@@ -78,7 +79,7 @@ class Run:
 
             # What is judged is in this process's memory, and its environment is not for adapters.
             hide_memory()
-            wanted = self._adapters_needed()
+            wanted = self._adapters_needed() if self._worker is None else self._adapters_of(task)
             if self.starting is not None:
                 self.starting(0, len(wanted), len(wanted))
             self._isolation = Isolation(self.settings.isolation)
@@ -111,13 +112,36 @@ class Run:
                 with suppress(KitError):
                     self._loop.run(self._bench.prepare(wanted, started=self.starting))
                     self._loop.check()
+                self._prepared.update(wanted)
                 if self._worker is None:
                     # It parses signatures, and before Python 3.11.8 and 3.12.2 two threads that parse at the same time fail now and
                     # then (python/cpython issue 106905): this one is about to parse the kit's files.
                     ahead.join()
-            if drift := self._bench.drift():
-                raise UsageError(f"{self.subject.source}: " + "; ".join(drift))
+            self._check_drift(self._bench)
+        elif self._worker is not None and (wanted := self._adapters_of(task)):
+            from ..core.errors import KitError
+
+            with suppress(KitError):
+                self._loop.run(self._bench.prepare(wanted))
+                self._loop.check()
+            self._prepared.update(wanted)
+            self._check_drift(self._bench)
         return self._loop, self._bench
+
+    def _check_drift(self, bench: Bench) -> None:
+        from ..core.errors import UsageError
+
+        if drift := bench.drift():
+            raise UsageError(f"{self.subject.source}: " + "; ".join(drift))
+
+    def _adapters_of(self, task: Task) -> list[str]:
+        """Return the adapters that a task of a worker needs and that it has not started. Few tasks need a read-only variant: it is started
+        with the first of them that applies."""
+        from ..trial.applicability import why_not_in_field
+
+        if why_not_in_field(task, self.settings.devices) is not None:
+            return []
+        return sorted({name for name in task.adapters if name in self.subject.adapters} - self._prepared)
 
     def _adapters_needed(self) -> list[str]:
         """Return the adapter variants that the tasks need; read-write variants also where no task applies, for their tools."""
@@ -126,8 +150,7 @@ class Run:
         adapters = self.subject.adapters
         tasks = [task for task in self.tasks if why_not_in_field(task, self.settings.devices) is None]
         wanted = {name for task in tasks for name in task.adapters if name in adapters}
-        # Few tasks need a read-only variant. Where another process may get them, it is started with the first such task.
-        for task in tasks if self._worker is None else ():
+        for task in tasks:
             if applicability(task, adapters) is None:
                 wanted |= set(participants(task, adapters))
         return sorted(wanted)
@@ -143,7 +166,7 @@ class Run:
         from ..core.exhaustion import exhausted
 
         try:
-            return self._execute(task, *self._start())
+            return self._execute(task, *self._start(task))
         except (OSError, RuntimeError, MemoryError) as error:
             if (cure := exhausted(error)) is not None:
                 raise ExhaustedError(f"{task.id} could not begin: {cure}") from error
