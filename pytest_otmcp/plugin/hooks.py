@@ -377,7 +377,8 @@ def pytest_testnodeready(node: Any) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    if config.getoption("dist") != "load" or not asks_for_suite(config):
+    # All adapters of a subject file are started before the first item, by each worker: see Run.
+    if config.getoption("dist") != "load" or not asks_for_suite(config) or config.stash[SETTINGS].subject is not None:
         return None
     from .distribution import Distribution
 

@@ -79,7 +79,7 @@ class Run:
 
             # What is judged is in this process's memory, and its environment is not for adapters.
             hide_memory()
-            wanted = self._adapters_needed() if self._worker is None else self._adapters_of(task)
+            wanted = self._adapters_of(task) if self._starts_few else self._adapters_needed()
             if self.starting is not None:
                 self.starting(0, len(wanted), len(wanted))
             self._isolation = Isolation(self.settings.isolation)
@@ -118,7 +118,7 @@ class Run:
                     # then (python/cpython issue 106905): this one is about to parse the kit's files.
                     ahead.join()
             self._check_drift(self._bench)
-        elif self._worker is not None and (wanted := self._adapters_of(task)):
+        elif self._starts_few and (wanted := self._adapters_of(task)):
             from ..core.errors import KitError
 
             with suppress(KitError):
@@ -127,6 +127,11 @@ class Run:
             self._prepared.update(wanted)
             self._check_drift(self._bench)
         return self._loop, self._bench
+
+    @property
+    def _starts_few(self) -> bool:
+        """A worker begins with the adapters of its own items alone. A mistake in a subject file is to be said before the first item."""
+        return self._worker is not None and self.settings.subject is None
 
     def _check_drift(self, bench: Bench) -> None:
         from ..core.errors import UsageError

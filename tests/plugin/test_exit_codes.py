@@ -95,8 +95,8 @@ def late(module):
     import_ahead(module)
     imported.set()
 
-def checked(self):
-    found = start(self)
+def checked(self, task):
+    found = start(self, task)
     assert imported.is_set()
     return found
 
