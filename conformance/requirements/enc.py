@@ -652,8 +652,8 @@ async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
     """Read texts of many writings, texts with invisible characters, and one as long as the device has room for, as far as the device can hold
     them, and as the tool's schema allows; write texts, also some that it cannot hold, and one that is too long by a character.
 
-    Said: each text. Of one with invisible characters, and where a byte is a character of one of several sets, at least the others. For what
-        the device cannot hold failures with `type_mismatch`, `invalid_input` or `range_overflow`, for what is too long also with
+    Said: each text. Of one with invisible characters, and where a byte is a character of one of several sets, at least the others; where zero
+        bytes fill texts up, at least what is before the first one. For what the device cannot hold failures with `type_mismatch`, `invalid_input` or `range_overflow`, for what is too long also with
         `limit_exceeded`.
     Seen: the device holds the text that was written, character by character; what it held before, where it cannot hold the text.
     Why: a text that cannot be read must not end the reading of everything else; one with question marks in it is another text, and so is one
@@ -676,7 +676,8 @@ async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
             return
         found = reply.outputs.get("value")
         exact = text.removesuffix(nonce) not in _INVISIBLE and (text.isascii() or texts.encoding == "utf-8")
-        if found != text if exact else nonce not in str(found):
+        ends = texts.filled_up and found == text.partition("\0")[0]
+        if found != text if exact else nonce not in str(found) and not ends:
             run.judge(reply, [_wrong(reply, text, "ENC-006")])
     if at.subject.claims(texts.write(nonce).operation):
         await _write_texts(run, at, texts, [text for text in every if text.removesuffix(nonce) not in _INVISIBLE])

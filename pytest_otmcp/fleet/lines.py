@@ -118,7 +118,9 @@ def lines(plan: Plan, directory: Path, shown_as: str) -> Iterator[Line]:
                     f"{folder / RESULT} says {result.outcome}, from its verdict follows {judged(result.verdict)}"
                 )
             if result.outcome.is_judged and None in (result.verdict, result.record, result.packed):
-                raise UsageError(f"{folder / RESULT} says {result.outcome}, and not of which record that is the verdict")
+                raise UsageError(
+                    f"{folder / RESULT} says {result.outcome}, and not of which record that is the verdict"
+                )
             if result.packed is not None and _digest(folder / RECORD) != result.packed:
                 raise UsageError(f"{folder / RECORD} is not the record that {RESULT} is about")
             yield line(result, shown)

@@ -121,6 +121,7 @@ class Texts:
         encoding: the characters that the device can hold, as a codec of Python.
         longest: how many characters of one byte each a text may have that is asked for.
         limited: a longer one has no room at the device.
+        filled_up: zero bytes fill a text up, so that the first one may be its end.
         read: makes a read of a text that is set at the mock before.
         write: makes a write of a text, with the points that hold it.
     """
@@ -128,6 +129,7 @@ class Texts:
     encoding: str
     longest: int
     limited: bool = True
+    filled_up: bool = False
     read: Callable[[str], Asked]
     write: Callable[[str], Asked]
 

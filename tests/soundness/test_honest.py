@@ -67,6 +67,7 @@ NEIGHBOURS = [
     ("bacnet/reads-all-properties", "TMO-002.bacnet"),
     ("profibus/asks-for-any-station", "ADR-002.profibus"),
     ("ethercat/reads-again-after-silence", "TMO-002.ethercat"),
+    ("ethercat/texts-end-at-zero", "ENC-006.ethercat"),
     ("ethercat/inputs-by-process-data", "RD-001.ethercat RD-004.ethercat CON-001.ethercat"),
     ("opcua/looks-before-writing", "O3 OUA-005.opcua WR-001.opcua WR-002.opcua"),
 ]

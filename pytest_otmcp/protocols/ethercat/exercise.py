@@ -172,7 +172,8 @@ EXERCISE = Exercise(
     large=large(TYPED["INT64"], TYPED["UINT64"]),
     floats={"float32": TYPED["FLOAT32"].read, "float64": TYPED["FLOAT64"].read},
     real=_real,
-    texts=Texts(encoding="latin-1", longest=LONGEST, read=TEXTS.read, write=_write_text),
+    # CiA 301: a VISIBLE_STRING has characters from 20h to 7Eh, and zeros.
+    texts=Texts(encoding="latin-1", longest=LONGEST, filled_up=True, read=TEXTS.read, write=_write_text),
     device_texts=_device_texts,
     changing=({"changes": True},),
 )

@@ -9,6 +9,7 @@ from typing import Any
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.ethercat import segment as segment_module
+from pytest_otmcp.reference_adapters.ethercat import tools as tools_module
 from pytest_otmcp.reference_adapters.ethercat.segment import Segment
 from pytest_otmcp.reference_adapters.ethercat.tools import Tools
 
@@ -129,6 +130,16 @@ def reads_again_after_silence(server: AdapterServer) -> None:
     segment.timeout_s /= 2
     segment._words[1] = str(segment.timeout_s)
     again_after_silence(server, *READS)
+
+
+@choice("ends a text at its first zero byte", "CiA 301: a VISIBLE_STRING may have zeros, which fill it up")
+def texts_end_at_zero(server: AdapterServer) -> None:
+    whole = tools_module.decode
+
+    def decode(content: bytes, kind: Any) -> Any:
+        return whole(content.partition(b"\0")[0] if kind == "STRING" else content, kind)
+
+    tools_module.decode = decode
 
 
 @choice("reads an object of the drive five times a second", "a master may read at any time")
