@@ -15,7 +15,12 @@ from .pack import Hints, Pack
 
 __all__ = ["commanding_tools", "guess_steps", "guess_tools", "registered", "snake", "status_tools", "words_in"]
 
-_ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value"}
+_VERBS: Mapping[str, str] = dict.fromkeys("put store poke".split(), "write") | dict.fromkeys(
+    "fetch retrieve peek".split(), "read"
+)
+"""First words of tools' names, each to the verb that packs know."""
+
+_ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value on"}
 """Inputs that operations of any protocol have, to the names that tools have for them; packs add their own inputs."""
 
 _CONSTANTS: Mapping[str, object] = {r"^(dry_?run|simulate)$": False}
@@ -221,6 +226,12 @@ def _in_order(name: str) -> list[str]:
     return re.split(r"[^a-z0-9]+", snake(name))
 
 
+def _usual(name: str) -> str:
+    """Return a tool's name with the verb that packs know: ``put_register`` writes, ``fetchRegister`` reads."""
+    first = _in_order(name)[0]
+    return _VERBS[first] + name[len(first) :] if first in _VERBS else name
+
+
 def words_in(name: str) -> set[str]:
     """Return the words of the name of a tool or of an argument, in lower case."""
     return set(_in_order(name))
@@ -262,10 +273,11 @@ def _guess(
     pack: Pack, operation: str, name: str, tool: Mapping[str, Any], registered_as: Mapping[str, str]
 ) -> Guess | None:
     asked, hints = protocols()[pack.protocol].operations[operation], pack.operations[operation]
-    words, likely = words_in(name), set(hints.likely.split())
+    usual = _usual(name)
+    words, likely = words_in(usual), set(hints.likely.split())
     if hints.needed and not words & set(hints.needed.split()):
         return None
-    if hints.named is not None and hints.named.fullmatch(name) is None:
+    if hints.named is not None and hints.named.fullmatch(usual) is None:
         return None
     if _is_foreign(pack.protocol, name, tool) or (not asked.writes and _may_change(name, tool, likely)):
         return None

@@ -64,6 +64,7 @@ class Cause:
     further: tuple[str, ...]
     words: InWords | None
     due: str
+    by_rule: str = ""
     by_library: tuple[str, ...] = ()
 
     @property
@@ -74,9 +75,10 @@ class Cause:
 
     @property
     def changes(self) -> tuple[str, ...]:
-        """What to change: in the libraries that the adapter was seen to use, else where the cause of such a finding usually is."""
+        """What to change: for such a rule and in the libraries that the adapter was seen to use, else where the cause of such a finding usually is."""
         known = findings().get(self.first["code"])
-        return self.by_library or (() if known is None else (known[0].change,))
+        by_rule = (self.by_rule,) if self.by_rule else ()
+        return by_rule + self.by_library or (() if known is None else (known[0].change,))
 
 
 def extent(cause: Cause) -> str:
@@ -181,10 +183,11 @@ def _cause(family: str, group: list[_Found], used: Collection[str], kinds_of: Ma
     first = group[0]
     kinds = {one.kind: one for one in reversed(group)}
     further = sorted((one for kind, one in kinds.items() if kind != first.kind), key=lambda one: one.place)
+    row = requirements().get(first.rule)
     return Cause(
         family=family,
         rule=first.rule,
-        statement=row.statement if (row := requirements().get(first.rule)) is not None else "",
+        statement="" if row is None else row.statement,
         first=first.finding,
         where=first.item,
         repetition=first.repetition,
@@ -194,6 +197,7 @@ def _cause(family: str, group: list[_Found], used: Collection[str], kinds_of: Ma
         further=tuple(_ROLE.sub("", one.finding["message"]) for one in further),
         words=_words(first),
         due=due(first.finding),
+        by_rule="" if row is None else row.change,
         by_library=tuple(advice(first.rule, used)),
     )
 

@@ -104,6 +104,7 @@ class Requirement:
         protocols: keys of the protocols that it is about, where its profiles do not say that; empty for those of the profiles.
         capabilities: what a plant must not rely on after a finding about the row, whichever item the finding was in.
         not_yet: why no check of the requirement suite judges it yet; None where one does.
+        change: where the cause of a finding about it usually is; empty where the kind of finding says that.
     """
 
     id: str
@@ -119,6 +120,7 @@ class Requirement:
     protocols: tuple[str, ...] = ()
     capabilities: tuple[Capability, ...] = ()
     not_yet: str | None = None
+    change: str = ""
 
     @property
     def area(self) -> str:
@@ -224,7 +226,7 @@ def _row(
             "source": str,
             "since": str,
         },
-        {"stricter": bool, "related": str, "protocols": list, "capabilities": list, "not_yet": str},
+        {"stricter": bool, "related": str, "protocols": list, "capabilities": list, "not_yet": str, "change": str},
     )
     _known((name.partition("-")[0],), areas, name, "area")
     _known((fields["strength"],), _STRENGTHS, name, "strength")
@@ -254,6 +256,7 @@ def _row(
         protocols=tuple(fields.get("protocols", ())),
         capabilities=tuple(map(Capability, fields.get("capabilities", ()))),
         not_yet=fields.get("not_yet"),
+        change=fields.get("change", ""),
     )
 
 

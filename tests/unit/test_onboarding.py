@@ -70,6 +70,22 @@ def test_the_likeliest_tool_is_the_right_one(operation: str, expected: str) -> N
     assert [variation.arguments.get("slave_id") for variation in best.variations()] == [None, 1]
 
 
+def test_other_verbs_are_understood_as_well() -> None:
+    tools = {
+        "fetch_registers": tool("start quantity"),
+        "putRegister": tool("register value"),
+        "put_coil": tool("coil on"),
+        "put_registers": tool("start values"),
+    }
+    for operation, expected in (
+        ("read_holding", "fetch_registers"),
+        ("write_holding", "putRegister"),
+        ("write_registers", "put_registers"),
+        ("write_coil", "put_coil"),
+    ):
+        assert [guess.tool for guess in guesses("modbus", operation, tools)][:1] == [expected], operation
+
+
 def test_a_coil_is_no_register() -> None:
     tools = {"write_coil": tool("address value"), "write_register": tool("address value")}
     assert guesses("modbus", "write_holding", tools)[0].tool == "write_register"

@@ -229,7 +229,7 @@ PACK = Pack(
         "write_tag": plain("tag", r"(write|set)_?tag(_?value)?"),
     },
     arguments={
-        "address": "address addr start start_address starting_address register register_address offset index",
+        "address": "address addr start start_address starting_address register register_address coil coil_address offset index",
         "values": "values data states",
         "type": "data_type type datatype dtype",
         "name": "tag tag_name name",
