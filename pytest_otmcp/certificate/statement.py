@@ -12,7 +12,8 @@ A certificate is a function of the run record alone, so everybody who has the re
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Set
 
 from ..core.matrix import SUITES
 from ..core.statistics import lower_bound, proportion_interval
@@ -43,7 +44,7 @@ _LIMITS = [
     "Self-certification: the kit was run by whoever shows this certificate. It is not signed here; sign it to say who that was.",
     "Tamper-evident, not tamper-proof: otmcp verify makes this document again from run.json and judges the stored history again.",
     "It is about the subject with this digest, started as its subject file says, at simulated devices, in the environment "
-    "below; another version of the adapter needs another run.",
+    "that run.json describes; another version of the adapter needs another run.",
     "Bounds take repetitions as independent; they share a session.",
 ]
 
@@ -63,6 +64,7 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
     walls = run["environment"].get("walls", {})
     with_warnings = {name for one in warned for name in one["items"]}
     passed = [item["id"] for item in run["items"] if item["status"] == Status.PASS]
+    called = _called(run)
     return {
         "_type": STATEMENT_TYPE,
         "subject": [{"name": f"{subject['name']} {subject['version']}", "digest": _digest_set(subject["digest"])}],
@@ -96,7 +98,7 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
                 "run_id": run["run_id"],
                 "measured_at": run["environment"]["started_at"],
                 "adapters": {
-                    protocol: _adapter(protocol, facts, run, tasks)
+                    protocol: _adapter(protocol, facts, run, tasks, called)
                     for protocol, facts in sorted(subject["adapters"].items())
                 },
                 "counts": _counts(run),
@@ -127,14 +129,33 @@ def _digest_set(digest: str) -> dict[str, str]:
     return {algorithm: value}
 
 
-def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict[str, object]:
+def _called(run: Run) -> Mapping[str, Set[str]]:
+    """Return the items in which each operation was called, by its facet: checks use more operations than they need."""
+    found: defaultdict[str, set[str]] = defaultdict(set)
+    for item in run["items"]:
+        for sample in item["samples"]:
+            for call in sample["calls"]:
+                # Of repetitions that are alike only the first is whole.
+                if "operation" not in call:
+                    continue
+                found[f"{call['adapter'].partition('@')[0]}.{call['operation']}"].add(item["id"])
+    return found
+
+
+def _adapter(
+    protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks, called: Mapping[str, Set[str]]
+) -> dict[str, object]:
     claims = Claims.of_record(run["subject"]["adapters"])
     earned, not_exercised, not_claimed = {}, [], {}
     for name in protocols()[protocol].facets:
         facet = f"{protocol}.{name}"
         if claims.is_silent(facet):
             continue
-        behind = [item for item in run["items"] if facet in exercised(tasks[item["id"]], claims)]
+        behind = [
+            item
+            for item in run["items"]
+            if facet in exercised(tasks[item["id"]], claims) or item["id"] in called.get(facet, ())
+        ]
         applying = [item for item in behind if item["status"] != Status.NOT_APPLICABLE]
         if (reason := claims.why_not(facet)) is not None:
             not_claimed[name] = reason

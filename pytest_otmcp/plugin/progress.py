@@ -151,6 +151,11 @@ class Progress:
         if not self._shown:
             return
         if item["status"] == "NOT_APPLICABLE":
+            from ..trial.applicability import NO_ADAPTER
+
+            if (item["reason"] or "").startswith(NO_ADAPTER):
+                # A protocol that the subject does not speak is nobody's concern here.
+                return
             if item["suite"] != self._suite:
                 # pytest has written the name of another file.
                 self._row_of_inapplicable = 0

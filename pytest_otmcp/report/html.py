@@ -126,7 +126,8 @@ def page(run: Run, certificate: str | None = None) -> str:
         suites=[_suite(suite, rows) for suite in KNOWN_SUITES if (rows := overview.tasks(run, suite))],
         explained={item["id"]: _explained(item["id"]) for item in run["items"]},
         requirements=[row for row in rules if not _kept(row)],
-        kept_requirements=[row for row in rules if _kept(row)],
+        kept_requirements=[row for row in rules if _kept(row) and not _unasked(row)],
+        unasked_requirements=[row for row in rules if _unasked(row)],
         latencies=latencies(run),
         recovery=recovery(run),
         strip=strip,
@@ -191,6 +192,10 @@ def _explained(identifier: str) -> list[tuple[str, tuple[str, ...]]]:
 
 def _kept(row: tuple[str, dict[str, overview.Cell]]) -> bool:
     return all(cell.state in ("kept", "not asked") for cell in row[1].values())
+
+
+def _unasked(row: tuple[str, dict[str, overview.Cell]]) -> bool:
+    return all(cell.state == "not asked" for cell in row[1].values())
 
 
 def _rules(rows: Iterable[tuple[str, object]]) -> dict[str, str]:

@@ -34,7 +34,16 @@ def finished(name: str, status: str, seconds: float = 0.0) -> Any:
     """Return an item that took so long, behind a start of devices that took a minute."""
     timing = {"plant start": 60_000.0, "tool calls": seconds * 1e3}
     suite = all_tasks()[name].suite
-    return {"id": name, "suite": suite, "status": status, "title": "", "planned": 1, "timing_ms": timing, "around": []}
+    return {
+        "id": name,
+        "suite": suite,
+        "status": status,
+        "title": "",
+        "planned": 1,
+        "reason": None,
+        "timing_ms": timing,
+        "around": [],
+    }
 
 
 def test_a_row_of_what_does_not_apply_is_not_written_into_the_moving_line(
