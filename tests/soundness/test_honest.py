@@ -59,6 +59,7 @@ NEIGHBOURS = [
     ("mqtt/helper-with-the-password", "KEY-001.mqtt"),
     ("opcua/reads-before-browsing", "OUA-006.opcua"),
     ("modbus/asks-three-times", "TMO-001.modbus TMO-002.modbus"),
+    ("modbus/gives-up-what-waits", "TMO-001.modbus"),
     ("s7/reads-again-after-silence", "TMO-002.s7"),
     (
         "bacnet/writes-by-multiple",

@@ -122,6 +122,30 @@ def asks_twice_for_a_missing_register(server: AdapterServer) -> None:
         wrap(server, name, twice_where_missing)
 
 
+@choice(
+    "reads one at a time, and gives a read up that has waited a second for another one",
+    "rate_limited: nothing of the call was sent, and the caller may come again",
+)
+def gives_up_what_waits(server: AdapterServer) -> None:
+    turn = asyncio.Lock()
+
+    def in_turn(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            try:
+                await asyncio.wait_for(turn.acquire(), 1.0)
+            except TimeoutError:
+                raise AdapterError("rate_limited", "another read takes long", outcome="not_sent") from None
+            try:
+                return await genuine(call, arguments)
+            finally:
+                turn.release()
+
+        return handler
+
+    for name in ("read_register", "read_multiple_holding_registers", "read_input_registers"):
+        wrap(server, name, in_turn)
+
+
 def polling(table: str, address: int, count: int) -> Change:
     def apply(server: AdapterServer) -> None:
         read: Read = getattr(tools_of(server), table)
