@@ -14,7 +14,7 @@ from typing import Any
 
 from ..core.errors import UsageError
 from ..core.text import harmless
-from . import add_json, show, show_json
+from . import Refusal, add_json, show, show_json
 from .confined import CEILING_S
 
 __all__ = ["add_parser", "examination", "run"]
@@ -64,12 +64,21 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Examine the files and print the result.
+    """Examine the files and print the result; with ``--json`` a refusal as well.
 
     Raises:
         UsageError: one of the files is not there, or an option does not go with them.
         Refusal: the certificate, its signature or the record does not hold.
     """
+    try:
+        return _verified(args)
+    except Refusal as refusal:
+        if args.json:
+            show_json({"refused": str(refusal)})
+        raise
+
+
+def _verified(args: argparse.Namespace) -> int:
     from .confined import Bounds, confined
     from .files import LARGEST_CERTIFICATE, LARGEST_RECORD, content, size
     from .signature import signer

@@ -455,6 +455,9 @@ def test_a_program_gets_what_was_verified_as_json(
     )
     assert told["items"]["Modbus"]["passed"] <= told["items"]["Modbus"]["of"]
     assert told["said"][0].startswith("verified: ")
+    files[1].write_text("{}")
+    assert main(["verify", "--json", *map(str, files)]) == 1
+    assert json.loads(capsys.readouterr().out)["refused"].startswith("refused: ")
 
 
 @pytest.mark.long
