@@ -67,11 +67,27 @@ def _row(protocol: str, facts: Mapping[str, Any], told: Mapping[str, Any]) -> di
 
 
 def _programs(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the program that each adapter's command starts, as far as the kit can know it, and its digest."""
+    """Yield what each adapter's command starts, as far as the kit can know it, each with its digest."""
+    for protocol, facts in told["adapters"].items():
+        tested, name = facts["tested"], protocols()[protocol].name
+        if tested is None:
+            continue
+        for what, digest in (
+            (f"{name}, {tested['program']}", tested["program_sha256"]),
+            (f"{name}, {counted(tested['files'], 'file')} of its own", tested["files_sha256"]),
+            (f"{name}, {counted(tested['packages'], 'list')} of packages", tested["packages_sha256"]),
+        ):
+            if digest is not None:
+                yield what, digest.partition(":")[2]
+
+
+def _unknown_files(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the adapters of whose own files the kit knows none."""
     for protocol, facts in told["adapters"].items():
         tested = facts["tested"]
-        if tested is not None and tested["program_sha256"] is not None:
-            yield f"{protocols()[protocol].name}, {tested['program']}", tested["program_sha256"].partition(":")[2]
+        if tested is not None and tested["files_sha256"] is None and tested["image"] is None:
+            about = f"none that the kit knows: the digest is that of {tested['program']}"
+            yield f"{protocols()[protocol].name}, its own files", about
 
 
 def _meaning(level: str | None) -> str:
@@ -96,6 +112,7 @@ def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         *([("Walls", " ".join(walls))] if walls else []),
         *([("Challenge", settings["challenge"])] if "challenge" in settings else []),
+        *_unknown_files(told),
         ("Catalogue of requirements", told["catalogue"]),
         ("Seed", str(settings["seed"])),
         ("Run", told["run_id"]),

@@ -65,11 +65,23 @@ def test_the_walls_that_stood_and_those_that_were_missing_are_said(statement: di
 
 
 def test_the_program_that_was_started_is_named_with_its_digest(statement: dict[str, Any]) -> None:
-    statement["predicate"]["otmcp"]["adapters"]["modbus"]["tested"] = {
+    tested = {
         "program": "acme-modbus",
         "program_sha256": f"sha256:{'e' * 64}",
+        "files": 3,
+        "files_sha256": f"sha256:{'f' * 64}",
+        "packages": 1,
+        "packages_sha256": f"sha256:{'0' * 64}",
+        "image": None,
     }
-    assert f"Modbus, acme-modbus sha256 {'e' * 64}" in shown(statement)
+    statement["predicate"]["otmcp"]["adapters"]["modbus"]["tested"] = tested
+    page = shown(statement)
+    assert f"Modbus, acme-modbus sha256 {'e' * 64}" in page
+    assert f"Modbus, 3 files of its own sha256 {'f' * 64}" in page
+    assert f"Modbus, 1 list of packages sha256 {'0' * 64}" in page
+    assert "its own files" not in page
+    tested |= {"files": 0, "files_sha256": None}
+    assert "Modbus, its own files none that the kit knows: the digest is that of acme-modbus" in shown(statement)
 
 
 def test_a_run_for_a_challenge_names_it(statement: dict[str, Any]) -> None:
