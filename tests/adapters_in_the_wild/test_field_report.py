@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.core.matrix import BENCHMARK, SUITES
-from pytest_otmcp.fleet.outcome import Outcome, Result, pack, write_result
+from pytest_otmcp.fleet.outcome import Outcome, Result, judged, pack, write_result
 from pytest_otmcp.fleet.plan import RUNS, planned, write_plan
 from pytest_otmcp.record.schema import Run
 from pytest_otmcp.report.causes import causes
+from pytest_otmcp.report.verdict_file import verdict
 from pytest_otmcp.subject import load_subject
 
 from .examples import EXAMPLES, NAMES, sources
@@ -46,16 +47,17 @@ def test_the_records_of_a_fleet_are_taken(tmp_path: Path, monkeypatch: pytest.Mo
     folder = tmp_path / RUNS / key
     folder.mkdir(parents=True)
     (folder / "run.json").write_bytes(lzma.decompress((RECORDS / f"{name}.json.xz").read_bytes()))
+    told = verdict(stored(name))
     digest, packed = pack(folder / "run.json")
     found = Result(
-        key=key, id=name, version=version, outcome=Outcome.NOT_CONFORMANT, record=digest, packed=packed, seconds=1
+        key=key, id=name, version=version, outcome=judged(told), verdict=told, record=digest, packed=packed, seconds=1
     )
     write_result(folder, found)
     taken = tmp_path / "taken"
     taken.mkdir()
     monkeypatch.setattr("tests.adapters_in_the_wild.records.RECORDS", taken)
     said = list(take(tmp_path))
-    assert f"{name}: not conformant" in said
+    assert f"{name}: {Outcome.NOT_CONFORMANT}" in said
     assert len(said) == len(NAMES)
     assert [path.name for path in taken.iterdir()] == [f"{name}.json.xz"]
     assert stored(name)["subject"]["version"] == version
