@@ -268,7 +268,7 @@ class FieldDevice(TappedDevice):
         try:
             if not self._field.harmless(frame):
                 self.gate.unseen = self._field.unseen(frame) or self.gate.unseen
-        except MalformedError:
+        except Exception:  # what cannot be read is in the journal as it is
             return
 
     def _led(self, frame: bytes) -> bytes | None:

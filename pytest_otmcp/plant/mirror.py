@@ -89,6 +89,7 @@ class Mirror(MediumOwner):
         self._connections: dict[Address, _Connection] = {}
         self._number = 0
         self._marks: dict[int, int | None] = {}
+        self._here: str | None = None
         self._clock_ns = 0
         self._tail: asyncio.Task[None] | None = None
         self._problem: str | None = None
@@ -110,7 +111,7 @@ class Mirror(MediumOwner):
             raise UsageError(f"--otmcp-mirror: {self._path} cannot be read: {error.strerror}") from None
         except KitError as error:
             raise UsageError(f"--otmcp-mirror: {error}") from None
-        # What the file had before, and who was connected before, is nobody's of this run.
+        # What the file had before is nobody's of this run.
         self._connections.clear()
         self.begin_journal()
 
@@ -199,6 +200,10 @@ class Mirror(MediumOwner):
         client = segment.source if is_asked else segment.target
         if is_asked and segment.opens and client[1] in self._marks:
             self._marks[client[1]] = self._marks[client[1]] or segment.t_ns
+            self._here = client[0]
+            return
+        if client[0] != self._here:
+            # A mirror port shows what others do as well, and the adapter is on this machine.
             return
         if is_asked and segment.opens and not self._again(client, segment):
             self._number += 1

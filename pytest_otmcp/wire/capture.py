@@ -32,6 +32,8 @@ _RESOLUTION, _END_OF_OPTIONS = 9, 0
 _LONGEST = 1 << 24
 _IPV4, _IPV6, _VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)
 _TCP, _FIN, _SYN, _RST, _ACK = 6, 1, 2, 4, 16
+_SHORTEST = 20
+"""Bytes of an IPv4 header without options."""
 _HALF = 1 << 31
 
 
@@ -180,7 +182,7 @@ def _tcp(packet: bytes, version: int, cut: int, t_ns: int) -> Segment | None:
         head, protocol = (packet[0] & 0x0F) * 4, packet[9]
         whole, fragment = struct.unpack_from(">H2xH", packet, 2)
         addresses = packet[12:16], packet[16:20]
-        if fragment & 0x3FFF:
+        if fragment & 0x3FFF or head < _SHORTEST:
             return None
     else:
         head, protocol = 40, packet[6]

@@ -8,7 +8,6 @@ import struct
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +21,7 @@ from pytest_otmcp.plant.mirror import Mirror, OwnConnections
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.record import load
 from pytest_otmcp.session.loop import LoopThread
+from pytest_otmcp.wire.modbus import frame
 from tests.foreign_software.conftest import Npm, npm
 
 from .conftest import DEFECT, HERE, failing, words
@@ -147,17 +147,41 @@ def test_a_capture_that_has_lost_packets_is_no_witness(loop: LoopThread, tmp_pat
             beside = Mirror(holes, "127.0.0.1", port, framing, lambda frame: None, OwnConnections())
             try:
                 loop.run(beside.start())
-                with socket.create_connection(("127.0.0.1", port)) as client:
+                client = socket.create_connection(("127.0.0.1", port))
+                # The connections of the marks are before it.
+                while (server := listener.accept())[1] != client.getsockname():
+                    server[0].close()
+                with client, server[0]:
                     for piece in (b"said", b"lost", b"said"):
                         client.sendall(piece)
-                        # Each is a segment of its own.
-                        time.sleep(0.1)
+                        assert server[0].recv(16) == piece
                     with pytest.raises(KitError, match="has lost packets"):
                         loop.run(beside.settle())
             finally:
                 ended.set()
                 copying.join()
                 loop.run(beside.aclose())
+
+
+def test_what_other_machines_do_is_nobodys_of_the_adapter(loop: LoopThread, tmp_path: Path) -> None:
+    framing = protocols()["modbus"].framing
+    assert framing is not None
+    write = frame(1, 1, struct.pack(">BHH", 6, 100, 7))
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listener,
+        captured(f"tcp://127.0.0.1:{listener.getsockname()[1]}", tmp_path / "mirror.pcap") as path,
+    ):
+        port = listener.getsockname()[1]
+        beside = Mirror(path, "127.0.0.1", port, framing, lambda frame: None, OwnConnections())
+        try:
+            loop.run(beside.start())
+            for here, found in (("127.0.0.2", []), ("127.0.0.1", ["CONNECTED", "request"])):
+                with socket.create_connection(("127.0.0.1", port), source_address=(here, 0)) as client:
+                    client.sendall(write)
+                    loop.run(beside.settle())
+                    assert [entry["kind"] for entry in beside.journal.since(0)][:2] == found
+        finally:
+            loop.run(beside.aclose())
 
 
 def copy_without(text: bytes, path: Path, copy: Path, ended: threading.Event) -> None:
