@@ -84,7 +84,7 @@ async def main(python: str, servers: dict[str, Any], prompt: str) -> str:
 
 
 def in_short(name: str, description: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return a tool in few words, of its first sentence the first: the model reads some ten in a second."""
+    """Return a tool in few words: the model reads some ten of them in a second."""
     properties = {
         argument: {"type": about.get("type", "number")} for argument, about in schema.get("properties", {}).items()
     }
