@@ -112,6 +112,7 @@ class Runs:
             self._begun.set()
             if process is not None and process.returncode is None:
                 process.kill()
+                await process.communicate()
             record = folder / "run.json"
             if record.is_file():
                 self._ended(record)
