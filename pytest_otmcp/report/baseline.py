@@ -11,7 +11,7 @@ from ..record.reader import open_record
 from . import Run, applies
 from .causes import causes
 
-__all__ = ["Baseline", "read_baseline", "since"]
+__all__ = ["Baseline", "changes", "read_baseline", "since"]
 
 _SHOWN = 5
 """Rules that are named."""
@@ -23,9 +23,13 @@ class Baseline:
 
     Attributes:
         broken: rule and protocol to the items that the cause touched.
+        subject: name of the adapter.
+        suite: digest of the suite that judged it.
     """
 
     broken: Mapping[tuple[str, str], tuple[str, ...]]
+    subject: str
+    suite: str
 
 
 def read_baseline(path: Path) -> Baseline:
@@ -35,22 +39,36 @@ def read_baseline(path: Path) -> Baseline:
         RecordError: it cannot be read or believed.
     """
     with open_record(path, allow_incomplete=True) as stored:
-        return Baseline({(one.rule, one.family): one.items for one in causes(condensed(stored))})
+        run = condensed(stored)
+    return Baseline(
+        broken={(one.rule, one.family): one.items for one in causes(run)},
+        subject=run["subject"]["name"],
+        suite=run["kit"]["suite_digest"],
+    )
 
 
-def since(baseline: Baseline, run: Run) -> str:
-    """Say which rules are broken that were not, and which are kept that were broken.
+def changes(baseline: Baseline, run: Run) -> dict[str, list[tuple[str, str]]]:
+    """Return the rules, each with its protocol, that are newly broken, mended, and not asked for again.
 
     A rule counts as mended only where every item that showed the fault was run again and applies.
     """
     broken = [(one.rule, one.family) for one in causes(run)]
     ran = {item["id"] for item in run["items"] if applies(item)}
-    new = [name for name in broken if name not in baseline.broken]
     mended = [name for name, items in baseline.broken.items() if name not in broken and ran.issuperset(items)]
-    unknown = [name for name in baseline.broken if name not in broken and name not in mended]
-    told = [(new, "new"), (mended, "mended"), (unknown, "not asked again")]
-    said = [f"{len(names)} {what} ({_named(names)})" for names, what in told if names]
-    return f"since the baseline {', '.join(said) or 'nothing has changed'}"
+    return {
+        "new": [name for name in broken if name not in baseline.broken],
+        "mended": mended,
+        "not asked again": [name for name in baseline.broken if name not in broken and name not in mended],
+    }
+
+
+def since(baseline: Baseline, run: Run) -> str:
+    """Say what has changed, and what else than the adapter may be its cause."""
+    said = [f"{len(names)} {what} ({_named(names)})" for what, names in changes(baseline, run).items() if names]
+    other = [f"of {baseline.subject}"] if baseline.subject != run["subject"]["name"] else []
+    other += ["by another version of the suite"] if baseline.suite != run["kit"]["suite_digest"] else []
+    which = f" ({', '.join(other)})" if other else ""
+    return f"since the baseline{which} {', '.join(said) or 'nothing has changed'}"
 
 
 def _named(names: list[tuple[str, str]]) -> str:

@@ -25,7 +25,7 @@ from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
 from .families import apart
 from .findings import beside, subject_keys
-from .overview import requirements
+from .overview import deviations, requirements
 from .strangers import strangers
 from .text import at_least, count, counted, printable, shortened
 
@@ -245,8 +245,9 @@ def _verdict(run: Run, width: int | None, baseline: Baseline | None) -> Iterator
     if found := len(warnings(items)):
         note += f", {counted(found, 'warning')}"
     changed = since(baseline, run) if baseline is not None else None
+    known = "; ".join(f"known deviation {one.item} until {one.expires}: {one.state}" for one in deviations(run))
     field = "a field record, at a real device" if "devices" in run["settings"] else None
-    for told in (field, nothing_asked(run), footer.get("reason"), changed):
+    for told in (field, nothing_asked(run), footer.get("reason"), known, changed):
         note += f"; {told}" if told else ""
     verdict = footer.get("verdict", "INCOMPLETE")
     line_of_all = printable(f"VERDICT: {verdict} ({note})")

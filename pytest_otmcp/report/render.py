@@ -27,7 +27,8 @@ _WRITERS: Mapping[str, tuple[str, str]] = {
     "tables": ("latex", "write_tables"),
     "figures": ("figures", "write_figures"),
 }
-"""Name of a report in the report directory, to the module of this package and its function ``(run, path) -> None``.
+"""Name of a report in the report directory, to the module of this package and its function ``(run, path) -> None``; that of the verdict takes
+a baseline as well.
 
 Each module is imported when its report is written: a library that is missing or broken only prevents the reports that need
 it.
@@ -40,7 +41,9 @@ _OF_WHOLE_RUNS = ("tables", "figures")
 """Reports that compare items: a run of a few items does without, and whoever tries one item does not wait for them."""
 
 
-def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict[str, Exception]:
+def write_all(
+    run: Run, directory: Path, names: Collection[str] = NAMES, baseline: Baseline | None = None
+) -> dict[str, Exception]:
     """Write every report of a run below ``directory``.
 
     A report that cannot be written does not prevent the others from being written. A report of that name from an earlier run
@@ -50,6 +53,7 @@ def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict
         run: a run record, as :func:`pytest_otmcp.record.load` returns it.
         directory: the report directory; it is made when it is not there.
         names: those to write; the others are removed.
+        baseline: an earlier run; the verdict for a program says what has changed since.
 
     Returns:
         The names of the reports that could not be written, each with its error; empty when all were written.
@@ -66,7 +70,8 @@ def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict
             continue
         try:
             _unlink(path)
-            getattr(import_module(f".{module}", __package__), function)(run, path)
+            compared = (baseline,) if name == "verdict.json" else ()
+            getattr(import_module(f".{module}", __package__), function)(run, path, *compared)
         except Exception as error:
             # A record may have any content, and the other reports are still wanted.
             failed[name] = error
@@ -120,7 +125,7 @@ def render(path: Path, terminal: Any, root: Path, baseline: Baseline | None) -> 
 
     names = NAMES if whole(run) else [name for name in NAMES if name not in _OF_WHOLE_RUNS]
     try:
-        failed = write_all(run, path.parent, names)
+        failed = write_all(run, path.parent, names, baseline)
     except OSError as error:
         failed = dict.fromkeys(names, error)
     verbosity, width = terminal.config.option.verbose, terminal._tw.fullwidth

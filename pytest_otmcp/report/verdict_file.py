@@ -15,19 +15,21 @@ from ..suite.levels import standings
 from ..suite.requirements import catalogue
 from ..suite.spoken import spoken, tell
 from . import Run
+from .baseline import Baseline, changes
 from .causes import causes
+from .overview import deviations
 
 __all__ = ["properties", "verdict", "write_verdict"]
 
 SCHEMA = "otmcp-verdict/1"
 
 
-def verdict(run: Run) -> dict[str, Any]:
+def verdict(run: Run, baseline: Baseline | None = None) -> dict[str, Any]:
     """Return what a program reads.
 
     ``items`` counts those about each protocol that the subject speaks. ``levels`` has the level of each protocol, None for none; it is empty without the requirement suite. ``causes`` are the rules that are
     broken, in the order of the suite, each with the code of its first finding (``cannot_start``, ``wrong_value``, …) and the items that it
-    touches. ``narrowed`` says what took something away from the suite.
+    touches. ``narrowed`` says what took something away from the suite. ``since`` says what has changed since the baseline, None without one.
     """
     return {
         "schema": SCHEMA,
@@ -52,7 +54,17 @@ def verdict(run: Run) -> dict[str, Any]:
         ],
         "warnings": len(warnings(run["items"])),
         "narrowed": list(run["settings"].get("narrowed", ())),
+        "deviations": [asdict(one) for one in deviations(run)],
+        "since": None if baseline is None else _since(baseline, run),
     }
+
+
+def _since(baseline: Baseline, run: Run) -> dict[str, Any]:
+    found = {
+        what.replace(" ", "_"): [{"rule": rule, "protocol": family} for rule, family in names]
+        for what, names in changes(baseline, run).items()
+    }
+    return {"subject": baseline.subject, "suite_digest": baseline.suite, **found}
 
 
 def properties(run: Run) -> dict[str, str]:
@@ -62,7 +74,8 @@ def properties(run: Run) -> dict[str, str]:
         "otmcp_items": tell(spoken(run)),
         "otmcp_catalogue": catalogue().version,
     }
-    return told | {f"otmcp_level_{protocol}": level or "none" for protocol, level in _levels(run).items()}
+    known = {f"otmcp_deviation_{one.item}": f"until {one.expires}: {one.state}" for one in deviations(run)}
+    return told | known | {f"otmcp_level_{protocol}": level or "none" for protocol, level in _levels(run).items()}
 
 
 def _levels(run: Run) -> dict[str, str | None]:
@@ -71,6 +84,6 @@ def _levels(run: Run) -> dict[str, str | None]:
     return {one.protocol: None if one.level is None else one.level.value for one in found}
 
 
-def write_verdict(run: Run, path: Path) -> None:
+def write_verdict(run: Run, path: Path, baseline: Baseline | None = None) -> None:
     """Write the verdict of a run to ``path``, in ASCII: no word of an adapter can move the cursor of a terminal."""
-    path.write_text(json.dumps(verdict(run), indent=1) + "\n", encoding="ascii", newline="\n")
+    path.write_text(json.dumps(verdict(run, baseline), indent=1) + "\n", encoding="ascii", newline="\n")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from pytest_otmcp.protocols.registry import protocols
@@ -47,6 +49,10 @@ def test_known_deviations_make_the_exit_code_green_and_not_the_verdict(repositor
     assert excused.code == 0, excused.output
     assert excused.verdict == "NOT CONFORMANT"
     assert sorted(excused.record["footer"]["deviations"]["used"]) == sorted(failing)
+    excuse = f"known deviation {failing[0]} until 2999-01-01: it fails, and is excused from the exit code"
+    assert excuse in " ".join(excused.output.split())
+    told = json.loads((excused.report / "verdict.json").read_text())["deviations"]
+    assert sorted(one["item"] for one in told) == sorted(failing)
 
     repository.subject("wrong-value", more=deviations([*failing, "M1"], "2999-01-01"))
     stale = repository.pytest("--otmcp-reps=1")

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.report.baseline import Baseline, since
+from pytest_otmcp.report.verdict_file import verdict
 
 from .samples import run, written_twice
 from .test_latex import ALL
@@ -29,4 +30,26 @@ BROKEN = ("WR-003", "Modbus")
 def test_a_rule_is_new_mended_or_not_asked_again(
     before: dict[tuple[str, str], tuple[str, ...]], now: list[Any], said: str
 ) -> None:
-    assert since(Baseline(before), run(now)) == f"since the baseline {said}"
+    ran = run(now)
+    earlier = Baseline(before, ran["subject"]["name"], ran["kit"]["suite_digest"])
+    assert since(earlier, ran) == f"since the baseline {said}"
+
+
+def test_a_baseline_of_another_adapter_or_suite_is_named() -> None:
+    ran = run([written_twice()])
+    assert since(Baseline({}, "Acme", "sha256:0"), ran).startswith(
+        "since the baseline (of Acme, by another version of the suite) 1 new"
+    )
+
+
+def test_a_program_reads_what_has_changed() -> None:
+    ran = run([written_twice()])
+    assert verdict(ran)["since"] is None
+    earlier = Baseline({("RD-001", "Modbus"): ("M1",)}, ran["subject"]["name"], "sha256:0")
+    assert verdict(ran, earlier)["since"] == {
+        "subject": ran["subject"]["name"],
+        "suite_digest": "sha256:0",
+        "new": [{"rule": "WR-003", "protocol": "Modbus"}],
+        "mended": [],
+        "not_asked_again": [{"rule": "RD-001", "protocol": "Modbus"}],
+    }

@@ -152,9 +152,12 @@ def answers(run: Run) -> Iterator[tuple[str, Said]]:
 
     html = page(run)
     box = re.search(
-        r'<h2><span class="unseen">Verdict: </span>.*?</span>([^<]*)(?:<span class="level">(.*?)</span>)?</h2>', html
+        r'<h2><span class="unseen">Verdict: </span>.*?</span>([^<]*)(?:<span class="level">(.*?)</span>)?'
+        r'(?:<span class="(no-level)">no level</span>)?</h2>',
+        html,
     )
     assert box is not None
+    assert bool(box[3]) == (not told["levels"] and told["verdict"] == "CONFORMANT")
     counted = re.search(r"</h2>\s*<p><b>(.*?)</b>", html)
     assert counted is not None
     yield "report", (box[1].strip(), _sorted(box[2] or ""), *counts_in(counted[1]))
