@@ -71,6 +71,7 @@ class Examined:
         said: what was found, in sentences.
         not_bound: facets that the subject file claims by its silence, and that nothing in it exercises; None where it describes no
             operation.
+        no_certificate: what keeps the file, as it stands, from a certificate.
     """
 
     protocol: str
@@ -78,6 +79,7 @@ class Examined:
     well: bool
     said: list[str]
     not_bound: list[str] | None
+    no_certificate: list[str]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -94,8 +96,12 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         show_json([asdict(one) for one in found])
     elif well and all(one.not_bound is not None for one in found):
-        gaps = any(one.not_bound for one in found)
-        state = "what is bound is well; bind the rest or declare it as unclaimed, then" if gaps else "all is well, next"
+        if any(one.not_bound for one in found):
+            state = "what is bound is well; bind the rest or declare it as unclaimed, then"
+        elif any(one.no_certificate for one in found):
+            state = "all is well for a run, but not for a certificate, next"
+        else:
+            state = "all is well, next"
         show(f"{state}: {_next(args)}")
     return 0 if well else 1
 
@@ -116,15 +122,19 @@ def _examined(loop: LoopThread, adapter: Adapter, isolation: Isolation, *, quiet
     for variant in _different(adapter):
         well &= loop.run(_examine(adapter, variant, isolation, say))
     gaps = _gaps(adapter) if adapter.operations else None
+    objections: list[str] = []
     if gaps:
         say(f"not bound, and not declared as unclaimed: {', '.join(gaps)}; items that need them cannot be tested")
     if adapter.unclaimed and adapter.operations:
         say(f"unclaimed: {', '.join(adapter.unclaimed)}; items that need them do not apply")
         from ..certificate.eligibility import unguarded
 
-        for objection in unguarded(Claims.of_subject({adapter.protocol: adapter}), [adapter.protocol]):
+        objections += unguarded(Claims.of_subject({adapter.protocol: adapter}), [adapter.protocol])
+        for objection in objections:
             say(f"no certificate: {objection}")
-    return Examined(protocol=adapter.protocol, command=command, well=well, said=said, not_bound=gaps)
+    return Examined(
+        protocol=adapter.protocol, command=command, well=well, said=said, not_bound=gaps, no_certificate=objections
+    )
 
 
 def _different(adapter: Adapter) -> list[str]:

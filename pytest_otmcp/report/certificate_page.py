@@ -60,7 +60,7 @@ def _row(protocol: str, facts: Mapping[str, Any], told: Mapping[str, Any]) -> di
         "level": "no level" if level is None else level.capitalize(),
         "meaning": _meaning(level),
         "passed": f"{count['passed']} of {count['of']} {name} items"
-        + (" (the others do not apply)" if count["passed"] < count["of"] else ""),
+        + (" (the others ask for what it does not offer)" if count["passed"] < count["of"] else ""),
         "deadline": f"every call within {facts['deadline_s']:g} s",
         "server": " ".join(filter(None, (facts["server"]["name"], facts["server"]["version"]))),
     }

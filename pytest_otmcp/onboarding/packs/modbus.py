@@ -209,7 +209,9 @@ PACK = Pack(
             choice=re.compile(r"^(?!.*discrete).*holding", re.IGNORECASE),
             trials={_TABLE: ("holding", "hr", "holding_register", "holding_registers")},
         ),
-        "read_coils": plain("coil coils", r"(read|get)\w*coils?(_?(status|states?|values?))?", _read_coils),
+        "read_coils": plain(
+            "coil coils bit bits", r"(?!\w*discrete)(read|get)\w*(coil|bit)s?(_?(status|states?|values?))?", _read_coils
+        ),
         "read_discrete_inputs": plain(
             "discrete input inputs",
             r"(read|get)\w*discrete(_?inputs?)?(_?(status|states?|values?))?",
@@ -223,8 +225,8 @@ PACK = Pack(
         ),
         "read_tag": plain("tag", r"(read|get)_?tag(_?value)?"),
         "write_registers": plain("registers", r"(write|set)_?(multiple_?)?(holding_?)?registers(_?bulk)?"),
-        "write_coil": plain("coil", r"(write|set|force)_?(single_?)?coil"),
-        "write_coils": plain("coils", r"(write|set|force)_?(multiple_?)?coils(_?bulk)?"),
+        "write_coil": plain("coil bit", r"(write|set|force)_?(single_?)?(coil|bit)"),
+        "write_coils": plain("coils bits", r"(write|set|force)_?(multiple_?)?(coil|bit)s(_?bulk)?"),
         "mask_write": plain("mask write register", r"mask_?write(_?(holding_?)?register)?"),
         "write_tag": plain("tag", r"(write|set)_?tag(_?value)?"),
     },

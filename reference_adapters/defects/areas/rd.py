@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from pymodbus.transport import ModbusProtocol
+
 from ...core import AdapterServer, Call
 from ...modbus import link, tools
 from ...modbus.shapes import Registers, Typed
@@ -35,6 +37,17 @@ def any_transaction(server: AdapterServer) -> None:
 
     link.reply_pdu = lenient
     link.is_other_reply = lambda request, received: False
+
+
+def first_segment_alone(server: AdapterServer) -> None:
+    """Take what one segment brings for the whole answer."""
+    genuine = ModbusProtocol.data_received
+
+    def received(self: ModbusProtocol, data: bytes) -> None:
+        genuine(self, data)
+        self.recv_buffer = b""
+
+    ModbusProtocol.data_received = received  # type: ignore[method-assign]
 
 
 def whole_bytes_of_bits(server: AdapterServer) -> None:
@@ -141,6 +154,7 @@ DEFECTS: tuple[Defect, ...] = (
         "ENV-008 RD-001 RD-004",
     ),
     defect("MU-39", "modbus", "An answer with any transaction identifier is accepted.", any_transaction, "RD-005"),
+    defect("MU-39s", "modbus", "An answer is what its first segment brings.", first_segment_alone, "RD-004", "RD-001"),
     defect(
         "MU-40r",
         "modbus",
