@@ -26,7 +26,8 @@ def keys_of_code(code: str) -> Iterator[str]:
     known = list(protocols().values())
     for names in [finding_codes(), *(finding_codes(protocol.package) for protocol in known)]:
         for key in names[code].keys if code in names else ():
-            yield f"{key}: {meaning(known[0], key)}"
+            # What follows a semicolon is for whoever writes the key for the first time.
+            yield f"{key}: {meaning(known[0], key).partition(';')[0].rstrip('.')}."
 
 
 def meaning(protocol: OtProtocol, key: str) -> str:
