@@ -20,6 +20,8 @@ _LABEL = 160
 """Letters of a call's name at the beginning of a finding."""
 _SHOWN = 3
 
+_VALUES = re.compile(r"-?\d+(?:\.\d+)?|[0-9a-z]{6,}", re.IGNORECASE)
+
 _CODES = "an error with code {0}"
 _OUTPUT = "{0} {1}"
 _DUE = {
@@ -61,15 +63,15 @@ def due(finding: Finding) -> str:
 def in_words(
     calls: Sequence[Mapping[str, Any]], entries: Sequence[Mapping[str, Any]], message: str = ""
 ) -> InWords | None:
-    """Tell the call in which the fault shows, as far as a record tells: the one that a finding names, else one that did not go as
-    required, else the last one that changed the device, else the first of the task; None without calls.
+    """Tell the call in which the fault shows, as far as a record tells: the one that a finding names, else of those that gave the values
+    in it one that did not go as required, else the last one that changed the device, else the first of the task; None without calls.
 
     Args:
         message: the finding, without the role that it may begin with.
     """
     if not calls:
         return None
-    calls = [call for call in calls if message.startswith(f"{_label(call)}: ")] or calls
+    calls = [call for call in calls if message.startswith(f"{_label(call)}: ")] or _closest(calls, message)
     requests = [entry for entry in entries if entry.get("request") and entry.get("origin", "client") == "client"]
     changing = [entry for entry in requests if entry.get("state_changing")]
     call = next((call for call in calls if not call["ok"]), None)
@@ -83,6 +85,18 @@ def in_words(
         seen=tuple(clipped(_described(entry), _LETTERS) for entry in shown[:_SHOWN]),
         more_seen=max(0, len(shown) - _SHOWN),
     )
+
+
+def _closest(calls: Sequence[Mapping[str, Any]], message: str) -> Sequence[Mapping[str, Any]]:
+    """Return the calls that gave most of the values in a sentence about the device; all of them where none gave one."""
+    told = {*_VALUES.findall(message)}
+
+    def shared(call: Mapping[str, Any]) -> int:
+        # A random value says more than a small address, which many calls have.
+        return sum(len(value) for value in {*_VALUES.findall(_json(call.get("arguments")))} & told if len(value) > 2)
+
+    most = max(map(shared, calls))
+    return [call for call in calls if shared(call) == most]
 
 
 def _during(call: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:

@@ -20,6 +20,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.report.html import page, write_html
+from pytest_otmcp.report.plainly import in_words
 from pytest_otmcp.suite.catalogue import all_tasks
 from pytest_otmcp.suite.requirements import requirements
 
@@ -687,3 +688,15 @@ def test_ids_lead_to_the_site_where_one_is_configured(monkeypatch: pytest.Monkey
     assert {
         f"https://kit.example/docs/{where}/" for where in ("items/M3", "requirements/WR-003", "codes/not_written_once")
     } <= links
+
+
+def test_what_a_finding_about_the_device_shows_is_the_call_that_gave_its_value() -> None:
+    refused = {"ok": False, "tool": "write_register", "arguments": {"address": 1, "value": 63409}, "role": "task"}
+    written = refused | {"ok": True, "arguments": {"address": 1, "value": 61706}}
+    calls = [{**one, "latency_ms": None} for one in (written, refused)]
+    told = in_words(calls, [], "1/holding_registers/1 should hold 61706, the device holds 0")
+    assert told is not None
+    assert told.asked == 'write_register {"address": 1, "value": 61706}'
+    other = in_words(calls, [], "the device should have seen one write, it saw none")
+    assert other is not None
+    assert other.asked == 'write_register {"address": 1, "value": 63409}'
