@@ -159,7 +159,7 @@ class ControlServer:
 
     async def _reset(self, request: Request) -> dict[str, Any]:
         await self._simulation.reset()
-        return {}
+        return {"dead_connections": self._device.dead_connections}
 
     async def _pause(self, request: Request) -> dict[str, Any]:
         await self._simulation.pause()

@@ -78,6 +78,11 @@ class Device(ABC):
             ValueError: a rule is not understood; the old plan stays.
         """
 
+    @property
+    def dead_connections(self) -> int:
+        """Number of connections over which nothing passes any more, although neither side has been told of an end."""
+        return 0
+
     @abstractmethod
     async def reset(self) -> None:
         """Restore the start-up values and drop the faults; connections and journal stay. Never called during a tick."""

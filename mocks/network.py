@@ -149,6 +149,11 @@ class Network(Medium):
         self._allowance = float(_BURST)
         self._recorded, self._counted_s = journal.next, 0.0
 
+    @property
+    def dead(self) -> int:
+        """Number of connections that are dead."""
+        return sum(link.dead for link in self.links)
+
     def protocol(self, factory: Callable[[], asyncio.Protocol]) -> Callable[[], asyncio.Protocol]:
         """Return the factory for a listener whose connections this factory serves."""
 

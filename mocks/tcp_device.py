@@ -31,6 +31,10 @@ class TcpDevice(Device):
     def connection(self) -> asyncio.Protocol:
         """Return what serves a new connection."""
 
+    @property
+    def dead_connections(self) -> int:
+        return self.network.dead
+
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         listener = endpoints[self.protocol]
         assert isinstance(listener, socket.socket)

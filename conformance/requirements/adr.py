@@ -7,14 +7,12 @@ from decimal import Decimal
 from functools import partial
 from typing import Any
 
-from pytest_otmcp.core.error_registry import wire_codes
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.strict_json import same_json
-from pytest_otmcp.protocols.journal import Entries, Image
+from pytest_otmcp.protocols.journal import Image
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.tags import TAGS
 from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
-from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.alteration import DEEP, ELEMENTS, Alteration, filler
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
@@ -33,6 +31,7 @@ from .steps import (
     knows_node,
     nothing_arrived,
     refused_before_the_wire,
+    relayed,
     since,
     witness,
     works_again,
@@ -142,18 +141,13 @@ async def _refused(
     if reply is None:
         return
     seen = reply.during(await at.journal())
-    codes = (*_OUTSIDE, *nobody, *_relayed(at, seen))
+    # An adapter with a list of its own targets says that this one is not on it.
+    unlisted = () if seen else ("access_denied",)
+    codes = (*_OUTSIDE, *nobody, *relayed(at, seen), *unlisted)
     outcomes = (*NOTHING_SENT, "rejected", *(("unknown",) if nobody else ()))
     run.fails(reply, *codes, outcome=outcomes, requirement="ADR-002", code_requirement="ERR-002")
     if reply.error_code not in nobody:
         run.witnessed(nothing_arrived(at, seen, requirement="ADR-002"))
-
-
-def _relayed(at: Rig, seen: Entries) -> list[str]:
-    """Return the error codes of what the device said when it refused."""
-    known, refusals = wire_codes(protocols()[at.protocol].package), exercise(at).refusals
-    keys = dict.fromkeys(key for entry in seen for key in refusals(entry) if key in known)
-    return [code for key in keys for code in known[key].codes]
 
 
 async def _with(at: Rig, operation: str, inputs: Mapping[str, Any], name: str, value: object) -> Reply | None:

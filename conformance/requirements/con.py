@@ -26,8 +26,10 @@ from .steps import (
     a_read_works,
     answers_again,
     exercise,
+    fails_or_relays,
     faulty,
     read,
+    relayed,
     silence,
     since,
     witness,
@@ -341,7 +343,7 @@ async def _each_to_its_own(run: Repetition, at: Rig, asked: Sequence[Asked]) -> 
             continue
         # A device may refuse the second of several commands at the same time, and an adapter may say so.
         if reply.success is False:
-            run.fails(reply, *_BUSY, requirement="CON-004")
+            await fails_or_relays(run, at, reply, *_BUSY, requirement="CON-004")
         elif run.succeeds(reply, requirement="CON-004"):
             run.witnessed(_kept(witness(at).holds(image, one.points)))
 
@@ -411,10 +413,14 @@ async def values_are_read_beside_writes(run: Repetition, at: Rig) -> None:
             run.succeeds(reply, requirement="CON-004")
             run.one_of(reply, one.output, one.old, *one.new)
         written = [replies[1], replies[4]]
-        changes = protocols()[at.protocol].changes(_since(written, await at.journal()))
+        journal = await at.journal()
+        changes = protocols()[at.protocol].changes(_since(written, journal))
         seen = [asks.asks_for(entry) for entry in changes]
         for reply, value in zip(written, one.new, strict=True):
-            if reply.success is False and seen and not same_json(value, seen[-1]):
+            if reply.success is False and reply.error_code in relayed(at, reply.during(journal)):
+                # The device has refused it, which says nothing of calls at the same time.
+                run.fails(reply, str(reply.error_code), requirement="CON-004")
+            elif reply.success is False and seen and not same_json(value, seen[-1]):
                 run.fails(reply, "verify_failed", outcome="applied", requirement="CON-004")
             else:
                 run.succeeds(reply, requirement="CON-004")

@@ -28,7 +28,7 @@ from .opcua_values import (
     moment_text,
     said_by,
 )
-from .steps import CONNECTION_FAULTS, a_read_works, refused_before_the_wire
+from .steps import CONNECTION_FAULTS, a_read_works, refused_before_the_wire, relayed
 
 __all__ = ["TASKS"]
 
@@ -394,9 +394,10 @@ async def _nothing_comes_with_it(run: Repetition, opcua: Rig) -> None:
     if not with_it or any(finding.is_must for finding in with_it):
         run.succeeds(reply, requirement="OUA-005")
         return
-    # What a server refuses for its timestamp is a refusal like any other.
+    # What a server refuses for its timestamp is a refusal like any other; it may have refused for another reason.
     if reply.success is False:
-        run.fails(reply, "unsupported_operation", outcome="rejected", requirement="OUA-005")
+        codes = ("unsupported_operation", *relayed(opcua, entries))
+        run.fails(reply, *codes, outcome="rejected", requirement="OUA-005")
 
 
 # -- OUA-006 ------------------------------------------------------------------------------------------------

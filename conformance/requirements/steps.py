@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from pytest_otmcp.core.error_registry import wire_codes
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries, JournalEntry
@@ -127,6 +128,25 @@ def faulty(conditions: Iterable[Mapping[str, object]], **action: object) -> list
     return [{**condition, "action": action} for condition in conditions]
 
 
+def relayed(at: Rig, seen: Entries) -> list[str]:
+    """Return the error codes of what the device said when it refused."""
+    known, refusals = wire_codes(protocols()[at.protocol].package), exercise(at).refusals
+    keys = dict.fromkeys(key for entry in seen for key in refusals(entry) if key in known)
+    return [code for key in keys for code in known[key].codes]
+
+
+async def fails_or_relays(
+    run: Repetition, at: Rig, reply: Reply, *codes: str, requirement: str, **expected: Any
+) -> None:
+    """Expect a failure with one of these codes, or with that of what the device itself said: then what the step is about did not come about."""
+    if reply.success is False and reply.error_code not in codes:
+        told = relayed(at, reply.during(await at.journal()))
+        if reply.error_code in told:
+            run.fails(reply, *told, requirement=requirement)
+            return
+    run.fails(reply, *codes, requirement=requirement, **expected)
+
+
 def silence(at: Rig) -> Mapping[str, object]:
     """Return the action of a fault rule with which the device of this protocol takes a request and never answers."""
     action = exercise(at).silent[0]["action"]
@@ -185,9 +205,10 @@ async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001
         asked.operation, window_s=at.subject.recovery_s, from_first_call=True, **asked.inputs
     )
     run.succeeds(replies[-1], requirement=requirement, **asked.outputs)
-    if replies[-1].success and at.subject.blocks(asked.operation):
-        await _over_a_connection_that_lives(run, at, replies[-1], requirement)
     known = protocols()[at.protocol].exercise
+    # A read brings what the device has said; a subscription, and a call that waits for messages, may bring nothing.
+    if replies[-1].success and known is not None and known.waiting is not None:
+        await _over_a_connection_that_lives(run, at, replies[-1], requirement)
     if known is not None and exercise(at).writing in [one.operation for one in known.otherwise]:
         # A Sparkplug host may command what it has heard of, and the proof has the nodes born again.
         at.doubt()
@@ -195,7 +216,7 @@ async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001
 
 
 async def _over_a_connection_that_lives(run: Repetition, at: Rig, reply: Reply, requirement: str) -> None:
-    """Expect of a call that waited, and may have waited in vain, that what it sent was not sent to an end that has vanished."""
+    """Expect of a call, which may have waited in vain or for nothing at all, that what it sent was not sent to an end that has vanished."""
     seen = reply.during(await at.journal())
     if any(entry["kind"] == "lost" for entry in seen) and not any(entry["answers"] is not None for entry in seen):
         message = (

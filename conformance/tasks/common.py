@@ -130,6 +130,14 @@ def read_of(rig: Rig) -> Call:
     return next(bound, None) or next(call for call in calls if rig.subject.claims(call.operation))
 
 
+async def asked_anew(run: Repetition, rig: Rig, read: Call) -> Mapping[str, Any]:
+    """Return the inputs of the next call to a device that is there, which has something to bring."""
+    inputs = read.made(run.rng)
+    for poke in read.brings(inputs):
+        await rig.device.poke(**poke)
+    return inputs
+
+
 async def survive_a_restart(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
     """Read before, during and after an outage of the endpoint, with the read that the adapter has, and assert all three.
 
@@ -139,8 +147,8 @@ async def survive_a_restart(run: Repetition, rig: Rig, **witnesses: Witness) -> 
         witnesses: by operation, what the device must have seen of the last read; of another operation, any exchange.
     """
     read = read_of(rig)
-    operation, inputs = read.operation, read.made(run.rng)
-    warm = await rig.call(operation, **inputs)
+    operation = read.operation
+    warm = await rig.call(operation, **await asked_anew(run, rig, read))
     run.succeeds(warm)
     stop_ms = await rig.stop_device()
     inputs = read.made(run.rng)
@@ -154,7 +162,7 @@ async def survive_a_restart(run: Repetition, rig: Rig, **witnesses: Witness) -> 
         refused = await rig.call(operation, role="control", **inputs)
         run.fails(refused, *codes, requirement="REC-002", code_requirement="ERR-005")
     restart_ms = await rig.start_device()
-    inputs = read.made(run.rng)
+    inputs = await asked_anew(run, rig, read)
     attempts = await rig.call_until_success(operation, window_s=rig.subject.recovery_s, **inputs)
     last = attempts[-1]
     run.succeeds(last, requirement="REC-001")
@@ -252,9 +260,9 @@ async def outage(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
     :func:`survive_a_restart`.
     """
     read = read_of(rig)
-    operation, inputs = read.operation, read.made(run.rng)
+    operation = read.operation
     witness = witnesses.get(operation, some_exchange(rig))
-    warm = await rig.call(operation, **inputs)
+    warm = await rig.call(operation, **await asked_anew(run, rig, read))
     run.must_succeed(warm)
     # A command that an earlier item asked for must not arrive now.
     run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.subject.declared))
@@ -280,7 +288,7 @@ async def outage(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
 
     # An adapter that only claims to work in a new session is not tested in the same session.
     if rig.subject.claims("recovery"):
-        inputs = read.made(run.rng)
+        inputs = await asked_anew(run, rig, read)
         attempts = await rig.call_until_success(operation, window_s=rig.subject.recovery_s, **inputs)
         recovered = attempts[-1]
         phases["same_session_attempts"] = len(attempts)
@@ -291,7 +299,7 @@ async def outage(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
             phases["same_session_ok"] = True
 
     fresh = await rig.fresh_session()
-    first = await rig.call(operation, **read.made(run.rng))
+    first = await rig.call(operation, **await asked_anew(run, rig, read))
     run.succeeds(first)
     run.witnessed(witness(await rig.session_journal()))
     run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.subject.declared))
@@ -330,9 +338,8 @@ async def start_without_device(run: Repetition, rig: Rig) -> None:
         run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
         await rig.start_device()
         if rig.subject.claims("recovery"):
-            attempts = await rig.call_until_success(
-                read.operation, window_s=rig.subject.recovery_s, **read.made(run.rng)
-            )
+            inputs = await asked_anew(run, rig, read)
+            attempts = await rig.call_until_success(read.operation, window_s=rig.subject.recovery_s, **inputs)
             run.succeeds(attempts[-1], requirement="REC-001")
     if not rig.subject.claims("recovery"):
         await rig.fresh_session()
@@ -393,11 +400,12 @@ async def nothing_is_made_up_for(run: Repetition, rig: Rig) -> None:
         await rig.fresh_session()
     read = read_of(rig)
     # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
-    last = (await rig.call_until_success(read.operation, window_s=rig.subject.recovery_s, **read.made(run.rng)))[-1]
+    inputs = await asked_anew(run, rig, read)
+    last = (await rig.call_until_success(read.operation, window_s=rig.subject.recovery_s, **inputs))[-1]
     run.succeeds(last, requirement="REC-001")
     await rig.stays_quiet(QUIET_S, partial(_nothing_late, rig))
     # A further answer shows that adapter and device ran during that time.
-    run.succeeds(await rig.call(read.operation, **read.made(run.rng)), requirement="REC-001")
+    run.succeeds(await rig.call(read.operation, **await asked_anew(run, rig, read)), requirement="REC-001")
     run.witnessed(_nothing_late(rig, await rig.journal()))
 
 

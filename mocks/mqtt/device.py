@@ -46,6 +46,10 @@ class MqttDevice(Device):
         self._answering: list[Publish] = []
         self.broker.subscribed = self._subscribed
 
+    @property
+    def dead_connections(self) -> int:
+        return self.network.dead
+
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         listener = endpoints["mqtt"]
         assert isinstance(listener, socket.socket)

@@ -61,6 +61,10 @@ class OpcUaDevice(Device):
         self.journal.event(connection=0, direction="out", kind="tls", origin="kit", certificate=name)
         self._state.network.close()
 
+    @property
+    def dead_connections(self) -> int:
+        return self._state.network.dead
+
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         listener = endpoints["opcua"]
         assert isinstance(listener, socket.socket)

@@ -161,8 +161,9 @@ class Device(Protocol):
     async def delay(self, seconds: float) -> None:
         """Give every answer so many seconds late from now on; 0 ends that."""
 
-    async def reset(self) -> None:
-        """Bring back start-up values without faults; connections and journal stay."""
+    async def reset(self) -> bool:
+        """Bring back start-up values without faults; connections and journal stay. Return whether a connection is dead that its client may
+        not have given up."""
 
     async def tick(self, steps: int = 1) -> None:
         """Advance the simulation by ``steps`` seconds of plant time."""

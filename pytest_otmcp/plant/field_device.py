@@ -424,19 +424,20 @@ class FieldDevice(TappedDevice):
             return False
         return True
 
-    async def reset(self) -> None:
+    async def reset(self) -> bool:
         """Let nothing pass that writes, and give back the old values where a write has passed.
 
         Raises:
             UnrestoredError: a point does not have its old value again.
         """
         self.gate.is_open = False
-        await super().reset()
+        dead = await super().reset()
         passed, self.gate.passed = self.gate.passed, {}
         for point, values in passed.items():
             self._written.setdefault(point, []).extend(values)
         if passed:
             await self._restore(passed)
+        return dead
 
     async def _restore(self, points: Iterable[str], *, is_last: bool = False) -> None:
         """Give back the old values of points where they differ.

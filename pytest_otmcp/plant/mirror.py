@@ -95,6 +95,11 @@ class Mirror(MediumOwner):
         self._problem: str | None = None
         self._seen: list[tuple[_Connection, Callable[[], None]]] = []
 
+    @property
+    def dead_connections(self) -> int:
+        """None: nothing is held back."""
+        return 0
+
     async def start(self) -> None:
         """Read what is there, and make sure that what goes to the device is in the capture.
 

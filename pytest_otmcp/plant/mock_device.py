@@ -428,12 +428,14 @@ class MockDevice:
         rules = [{**rule, "action": {"delay_s": seconds}} for rule in protocols()[self._name].delayed]
         await self.fault(*(rules if seconds else ()))
 
-    async def reset(self) -> None:
-        """Bring back start-up values without faults, with the simulation paused; connections and journal stay."""
-        await self.ask("reset")
+    async def reset(self) -> bool:
+        """Bring back start-up values without faults, with the simulation paused; connections and journal stay. Return whether a connection
+        is dead that its client may not have given up."""
+        answer = await self.ask("reset")
         self.faulty = False
         await self.ask("pause")
         await self.preset(self._presets)
+        return bool(answer["dead_connections"])
 
     async def tick(self, steps: int = 1) -> None:
         """Advance the simulation by ``steps`` seconds of plant time."""

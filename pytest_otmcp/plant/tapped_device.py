@@ -200,10 +200,11 @@ class TappedDevice:
     async def preset(self, presets: Sequence[Mapping[str, object]]) -> None:
         """Leave it as it is: a device of the user's own has what it has."""
 
-    async def reset(self) -> None:
+    async def reset(self) -> bool:
         """End the faults; what the device holds is left as it is."""
         self.tap.inject()
         self.faulty = False
+        return self.tap.dead_connections > 0
 
     async def tick(self, steps: int = 1) -> None:
         """Do nothing: the kit does not simulate what is behind a device of the user's own."""

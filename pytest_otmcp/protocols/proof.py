@@ -65,11 +65,14 @@ class Call:
         inputs: of the operation.
         new: names an input, and makes its value from a random number: it is another one in every call, so that an answer from memory is
             none to it. None where every call has the same inputs.
+        brings: what is set at the device before the call, from its inputs, so that a call which waits has something to bring: where nothing
+            comes its answer may be a failure.
     """
 
     operation: str
     inputs: Mapping[str, Any] = field(default_factory=dict)
     new: tuple[str, Callable[[random.Random], object]] | None = None
+    brings: Callable[[Mapping[str, Any]], tuple[Poke, ...]] = lambda inputs: ()
 
     def made(self, rng: random.Random) -> Mapping[str, Any]:
         """Return the inputs of the next call."""

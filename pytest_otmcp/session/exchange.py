@@ -6,12 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-__all__ = ["CANCELLED", "REFUSALS", "Answer", "Exchange", "joined", "joint"]
+__all__ = ["CANCELLED", "REFUSALS", "TOO_LONG", "Answer", "Exchange", "joined", "joint"]
 
 _AND = "+"
 
 CANCELLED = "cancelled"
 """Failure of an exchange that the kit itself has cancelled."""
+
+TOO_LONG = "frame_too_long"
+"""Failure of an exchange that the kit has ended, with its session, because a message was longer than it reads."""
 
 REFUSALS: Mapping[int, str] = {401: "unauthorized", 403: "forbidden", 413: "content_too_large"}
 """HTTP statuses by which a subject refuses a request that it has not read (RFC 9110, sections 15.5.2, .4 and .14), each to the failure of such an
@@ -36,7 +39,7 @@ class Exchange:
         received_ns: monotonic time at which the response, or the refusal by HTTP status, had been read, or None.
         starved_ns: time for which the machine kept the subject, or the kit, waiting for a processor meanwhile; 0 for less than
             :data:`~.starvation.LOOK_S`.
-        failure: why there is no usable response (``timeout``, ``connection_closed``, ``cancelled``, or one of :data:`REFUSALS`), or
+        failure: why there is no usable response (``timeout``, ``connection_closed``, ``cancelled``, ``frame_too_long``, or one of :data:`REFUSALS`), or
             None.
         client_complaint: what the official SDK client objected to in the response, or None.
         asked_ns, returned_ns: monotonic times at which the SDK client was asked, and at which it had processed the

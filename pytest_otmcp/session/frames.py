@@ -110,9 +110,13 @@ class FrameRecorder:
             self.secrets.look(frame, lambda: "a message that is too long")
         return not self.overflow
 
-    def received(self, now: int, frame: bytes) -> JSONRPCMessage | ValidationError | None:
+    def received(self, now: int, frame: bytes, *, of_error: bool = False) -> JSONRPCMessage | ValidationError | None:
         """Note that a frame was read; return its message, the error when it holds no message, or None for a notification:
-        the kit uses none."""
+        the kit uses none.
+
+        Args:
+            of_error: it is the body of an HTTP answer whose status is that of an error.
+        """
         self.secrets.look(frame, lambda: self._place(frame))
         try:
             message = jsonrpc_message_adapter.validate_json(frame)
@@ -138,7 +142,10 @@ class FrameRecorder:
                 # JSON-RPC 2.0, section 5: the error of a request whose id could not be read.
                 pass
             elif message.id not in self._known_ids:
-                _keep(self.unknown_ids, message.id)
+                # With an HTTP error the body answers the HTTP request, and should have no id (MCP 2025-11-25, Transports, 2.4): version 1 of the
+                # official SDK puts "server-error" there, for a request without a session.
+                if not (of_error and isinstance(message, JSONRPCError)):
+                    _keep(self.unknown_ids, message.id)
             elif message.id in self._answered:
                 _keep(self.repeated_ids, message.id)
             else:

@@ -43,6 +43,8 @@ _ATTEMPTS = 32
 """Attempts to read a body of unknown length before its end; a server may send it byte by byte."""
 
 # The session keeps the deadline of each call; these limits only end the wait for a dead connection.
+_FIRST_ERROR = 400
+"""First HTTP status of an error."""
 _TIMEOUT = httpx2.Timeout(30.0, read=330.0)
 
 
@@ -219,6 +221,7 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
                 self._recorder,
                 events=kind.startswith("text/event-stream"),
                 length=int(length) if length.isdecimal() else None,
+                of_error=response.status_code >= _FIRST_ERROR,
             )
         return response
 
@@ -248,15 +251,23 @@ class _RecordedBody(httpx2.AsyncByteStream):
         recorder: of the session.
         events: the body consists of events.
         length: of the body in bytes, where the server has said it.
+        of_error: the status of the answer is that of an error.
     """
 
     def __init__(
-        self, stream: httpx2.AsyncByteStream, recorder: FrameRecorder, *, events: bool, length: int | None
+        self,
+        stream: httpx2.AsyncByteStream,
+        recorder: FrameRecorder,
+        *,
+        events: bool,
+        length: int | None,
+        of_error: bool,
     ) -> None:
         self._stream = stream
         self._recorder = recorder
         self._events = events
         self._length = length
+        self._of_error = of_error
         self._attempts = 0
         self._unread = bytearray()
         self._data: list[bytes] = []
@@ -308,7 +319,7 @@ class _RecordedBody(httpx2.AsyncByteStream):
 
     def _receive(self, now: int, frame: bytes) -> None:
         if self._recorder.accepts(frame):
-            self._recorder.received(now, frame)
+            self._recorder.received(now, frame, of_error=self._of_error)
         if self._recorder.overflow:
             raise httpx2.ReadError(f"the adapter sent {TOO_LARGE}")
 

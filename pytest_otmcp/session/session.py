@@ -29,7 +29,7 @@ from ..core.tool_entry import TWICE
 from ..record.schema import Footprint, ToolsChanged
 from .caller import Caller
 from .canary import SecretSearch
-from .exchange import CANCELLED, Exchange
+from .exchange import CANCELLED, TOO_LONG, Exchange
 from .footprint import command_lines, footprint
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
@@ -304,6 +304,8 @@ class McpSession:
                     if cursor is None:
                         return f"{_digests(entries)}{' announced' if self._recorder.list_changes else ''}"
         except (MCPError, TimeoutError, RuntimeError, ValueError) as error:
+            if isinstance(error, TimeoutError) and not self.died:
+                raise SubjectError("no_reply", f"tools/list was not answered within {timeout_s:g} s") from None
             why = f"the adapter sent {TOO_LARGE}" if self.overflow else await self.death_note() if self.died else error
             raise SubjectError("session_lost", f"tools/list was not answered: {why}") from None
         raise SubjectError("session_lost", await self.death_note())
@@ -395,6 +397,8 @@ class McpSession:
                 self._recorder.end(token)
                 if returned_ns - asked_ns >= LOOK_S * 1e9:
                     starved_s = patience.starved_s()
+        if failure == "connection_closed" and self.overflow:
+            failure = TOO_LONG
         self._is_silent = failure == "timeout"
         schema = self._output_schemas.get(tool)
         if isinstance(answer, CallToolResult) and not answer.is_error and schema and measured.response is not None:

@@ -71,7 +71,9 @@ class LiveDriver:
                 # Another program had its port when an item before wanted to start it again.
                 await state.under_test.device.start()
                 state.under_test.cursor.restart()
-            await state.under_test.device.reset()
+            if await state.under_test.device.reset():
+                # What an earlier item has done to the connection is nothing that this one asks about.
+                await state.under_test.close()
             # Those ended with earlier items.
             state.under_test.take_ended()
             state.under_test.take_leaks()

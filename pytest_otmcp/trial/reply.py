@@ -13,7 +13,8 @@ from ..protocols.envelope import check_result
 from ..protocols.journal import Entries, JournalEntry
 from ..protocols.protocol import GOVERNANCE, LAUNCHES
 from ..protocols.registry import protocols
-from ..session.exchange import CANCELLED, REFUSALS, Exchange
+from ..session.exchange import CANCELLED, REFUSALS, TOO_LONG, Exchange
+from ..session.limits import TOO_LARGE
 from ..subject.answers import (
     UNCLASSIFIED,
     Answer,
@@ -420,6 +421,12 @@ def _no_response(exchange: Exchange, deadline_s: float) -> Finding:
             code="no_reply",
             message=f"{_label(exchange)}: no reply within the deadline of {deadline_s:g} s",
             requirement="TMO-001",
+        )
+    if exchange.failure == TOO_LONG:
+        return Finding(
+            code="frame_too_long",
+            message=f"{_label(exchange)}: no reply that is read, as the adapter sent {TOO_LARGE}",
+            requirement="ADR-009",
         )
     return Finding(
         code="session_lost",

@@ -36,6 +36,8 @@ _GIVE_UP_AFTER = 3
 a few deadlines, not after thirty."""
 
 
+_RULES: Mapping[str, str | None] = {"control_channel": None, "no_reply": "TMO-001"}
+"""Codes of what ended an item, to the requirement that is not met then; it is MCP-002 for every other."""
 _CHANGED: Mapping[ToolsChanged, str] = {
     "changed": "says something else",
     "announced": "says something else, as the adapter had announced,",
@@ -112,7 +114,7 @@ class Trial:
         except _ItemOverError:
             pass
         except SubjectError as failure:
-            self._end("subject", failure.code, str(failure), None if failure.code == "control_channel" else "MCP-002")
+            self._end("subject", failure.code, str(failure), _RULES.get(failure.code, "MCP-002"))
             self._take(self._driver.told_at_start())
         except NoBindingError as gap:
             # What was found before stands.

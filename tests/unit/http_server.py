@@ -22,7 +22,11 @@ class Server(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         message = json.loads(self.rfile.read(int(self.headers["content-length"])))
         method, params = message.get("method"), message.get("params") or {}
-        if "id" not in message:
+        if message.get("method") == "server/discover":
+            # As version 1 of the official SDK answers a request without a session.
+            error = {"code": -32600, "message": "Bad Request: Missing session ID"}
+            self.answer("server-error", None, status=400, error=error)
+        elif "id" not in message:
             self.send_response(202)
             self.end_headers()
         elif method == "initialize":
@@ -35,9 +39,19 @@ class Server(BaseHTTPRequestHandler):
             TOGETHER.wait()
             self.answer(message["id"], {"content": []}, CONTENT_TYPE, endless=ENDLESS)
 
-    def answer(self, identifier: Any, result: Any, kind: str = "application/json", *, endless: bool = False) -> None:
-        body = json.dumps({"jsonrpc": "2.0", "id": identifier, "result": result}).encode()
-        self.send_response(200)
+    def answer(
+        self,
+        identifier: Any,
+        result: Any,
+        kind: str = "application/json",
+        *,
+        endless: bool = False,
+        status: int = 200,
+        error: object = None,
+    ) -> None:
+        said = {"result": result} if error is None else {"error": error}
+        body = json.dumps({"jsonrpc": "2.0", "id": identifier, **said}).encode()
+        self.send_response(status)
         self.send_header("content-type", kind)
         if not endless:
             self.send_header("content-length", str(len(body)))

@@ -114,6 +114,14 @@ async def test_a_content_type_is_taken_as_the_client_takes_it() -> None:
 
 
 @pytest.mark.asyncio
+async def test_the_id_in_the_body_of_an_http_error_is_held_against_nobody() -> None:
+    async with session([sys.executable, str(SERVER), "application/json"]) as http:
+        assert http.by_handshake
+        assert (await http.call("ping", {}, timeout_s=60.0)).response is not None
+        assert http.unknown_responses() == []
+
+
+@pytest.mark.asyncio
 @pytest.mark.parametrize("kind", ["application/json", "Application/JSON", "application/json-seq"])
 async def test_an_answer_that_does_not_end_is_not_read_to_its_end(kind: str) -> None:
     async with session([sys.executable, str(SERVER), kind, "endless"], era="legacy") as http:

@@ -63,6 +63,11 @@ class DatagramTap(MediumOwner):
         """Client addresses that have an upstream socket now."""
         return len(self._clients)
 
+    @property
+    def dead_connections(self) -> int:
+        """None: what a client's datagrams are discarded for ends with the fault plan."""
+        return 0
+
     def _bound(self) -> socket.socket:
         assert self._socket is not None, "the tap has not been started"
         return self._socket

@@ -76,6 +76,11 @@ class StreamTap(MediumOwner):
         """Connections that are open now."""
         return len(self._links)
 
+    @property
+    def dead_connections(self) -> int:
+        """Connections over which nothing passes any more, although neither side has been told of an end."""
+        return sum(lane.is_black_hole for link in self._links for lane in link._lanes)
+
     async def start(self) -> None:
         """Take a free port and accept connections."""
         # The socket is bound and never listens: while the tap is down no process gets the port, connecting is refused.

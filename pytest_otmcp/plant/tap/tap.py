@@ -46,6 +46,11 @@ class Tap(Protocol):
         ...
 
     @property
+    def dead_connections(self) -> int:
+        """Connections over which nothing passes any more, although neither side has been told of an end."""
+        ...
+
+    @property
     def injected(self) -> Counter[Action]:
         """How often each fault of the plan in effect was really injected."""
         ...

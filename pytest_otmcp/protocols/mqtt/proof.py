@@ -79,6 +79,10 @@ def _holds(told: object, value: float) -> bool:
     return any(_holds(member, value) for member in told) if isinstance(told, list) else told == value
 
 
+def _some_message(inputs: Mapping[str, object]) -> tuple[Mapping[str, object], ...]:
+    return ({"answering": {"topic": inputs["filter"], "payload": base64.b64encode(b"otmcp").decode()}},)
+
+
 def _inspected(outputs: Mapping[str, object], entries: Entries) -> int:
     return ENOUGH_BITS if adapter_packets(entries, direction="in") else 0
 
@@ -100,6 +104,6 @@ PROOF = Proof(
     unreachable=(
         Call("info"),
         Call("subscribe", {"qos": 0}, new=("filter", _new_topic)),
-        Call("messages", {"seconds": _WAITING_S}, new=("filter", _new_topic)),
+        Call("messages", {"seconds": _WAITING_S}, new=("filter", _new_topic), brings=_some_message),
     ),
 )

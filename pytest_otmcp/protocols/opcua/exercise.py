@@ -13,7 +13,7 @@ from ..journal import JournalEntry
 from ..oracle import has
 from ..point import BOOL, FLOAT64, Point
 from ..proof import Call
-from .entries import as_opcua
+from .entries import as_opcua, statuses
 
 __all__ = ["EXERCISE"]
 
@@ -146,6 +146,10 @@ def _is_asked_for(entry: JournalEntry, asked: Asked) -> bool:
     )
 
 
+def _refusals(entry: JournalEntry) -> list[str]:
+    return statuses(entry) if entry["direction"] == "out" else []
+
+
 EXERCISE = Exercise(
     points_of=_points_of,
     recognised={"write": _is_asked_for},
@@ -163,6 +167,7 @@ EXERCISE = Exercise(
     reset=tuple({"service": service, "action": {"reset": True}} for service in ("Read", "Write")),
     unauthorised=({"service": "ActivateSession", "action": {"service_fault": "BadIdentityTokenRejected"}},),
     refused=({"service": "Read", "action": {"status": "BadDeviceFailure"}},),
+    refusals=_refusals,
     distinct=_distinct,
     every_write=_every_write,
     contended=_contended,
