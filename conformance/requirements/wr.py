@@ -163,6 +163,19 @@ async def _have_their_effect(run: Repetition, at: Rig) -> None:
         run.succeeds(reply, requirement="WR-001")
         if reply.success:
             run.witnessed(witness(at).holds(await at.device.image(), asked.points))
+        elif reply.success is False:
+            run.witnessed(await _done_all_the_same(at, asked, reply))
+
+
+async def _done_all_the_same(at: Rig, asked: Asked, reply: Reply) -> list[Finding]:
+    """Expect of a write that is told as failed, by no fault of the connection, that the device has not done it."""
+    unsure = reply.error_code in CONNECTION_FAULTS or reply.member("error", "outcome") in ("unknown", "applied")
+    if unsure or not exercise(at).done(reply.during(await at.journal()), asked):
+        return []
+    if not asked.points or witness(at).holds(await at.device.image(), asked.points):
+        return []
+    message = f"{reply.label}: it is told as failed, and the device holds what was to be written"
+    return [Finding(code="device_differs", message=message, requirement="WR-001")]
 
 
 async def _partly_refused(run: Repetition, opcua: Rig) -> None:

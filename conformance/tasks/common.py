@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
@@ -122,12 +122,21 @@ def allowed_first(at: Rig, operation: str, values: Sequence[T], inputs: Callable
     return next((one for one in values if at.excess(operation, **inputs(one)) is None), values[0])
 
 
+def outages_show(rig: Rig) -> bool:
+    """Tell whether the adapter has an operation that its device has to answer, so that it fails in an outage."""
+    return next(_bound_reads(rig), None) is not None
+
+
+def _bound_reads(rig: Rig) -> Iterator[Call]:
+    # Any example of the inputs tells whether there is a tool for them.
+    calls = protocols()[rig.protocol].proof.unreachable
+    return (call for call in calls if rig.can_ask(call.operation, call.made(random.Random(0))))
+
+
 def read_of(rig: Rig) -> Call:
     """Return the call by which an adapter is taken through an outage: the best that it has of those that its device has to answer."""
     calls = protocols()[rig.protocol].proof.unreachable
-    # Any example of the inputs tells whether there is a tool for them.
-    bound = (call for call in calls if rig.can_ask(call.operation, call.made(random.Random(0))))
-    return next(bound, None) or next(call for call in calls if rig.subject.claims(call.operation))
+    return next(_bound_reads(rig), None) or next(call for call in calls if rig.subject.claims(call.operation))
 
 
 async def asked_anew(run: Repetition, rig: Rig, read: Call) -> Mapping[str, Any]:

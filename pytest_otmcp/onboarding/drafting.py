@@ -262,7 +262,8 @@ def _refuse_unreached(
     raise SubjectError(
         "not_proven",
         f"the adapter does not talk to the mock device at {endpoint['url']}, which saw nothing: {answered.guess.tool}: "
-        f"{answered.evidence[0]}. Nothing was written. Tell the adapter where the device is, with --env NAME={{{place}}} or in COMMAND",
+        f"{answered.evidence[0]}. Nothing was written. Tell the adapter where the device is, with --env NAME={{{place}}}, --file or in COMMAND; if it was told, its "
+        "answer may say that it is still connecting, or which value it needs that nobody can guess: then write the subject file by hand",
     )
 
 

@@ -366,11 +366,12 @@ class Experimenter:
         """Make a proposal from a guess and the observations of its call.
 
         Args:
-            seen: what the device saw, in words; empty for nothing. None: every request that came.
+            seen: what the device saw, in words; where it is empty or None, every request that came.
         """
-        if seen is None:
+        if not seen:
             describe = protocols()[self.adapter.adapter.protocol].describe
-            seen = "; ".join(dict.fromkeys(describe(entry) for entry in shown.entries if entry["request"]))
+            asked = (entry for entry in shown.entries if entry["request"] and entry["origin"] == "client")
+            seen = "; ".join(dict.fromkeys(map(describe, asked)))
         evidence = [f"the device saw {seen}" if proven else f"the device saw {seen or 'nothing of it'}; {shown.words}"]
         return Proposal(
             guess=guess,

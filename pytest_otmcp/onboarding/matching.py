@@ -46,6 +46,7 @@ _CHANGES = frozenset(
 _MAY_CHANGE = frozenset(
     """add create update modify change rename register unregister start stop restart reset enable disable open close pause
     resume cancel abort lock unlock activate deactivate configure import save load move turn press call trigger command run
+    setup establish initialize initialise login logout
     switch adjust dim blink play say speak announce notify display""".split()
 )
 """Words that change something unless the name begins with a word of ``_READS``: ``get_start_time`` starts nothing."""
@@ -109,7 +110,7 @@ _NO_STEP = frozenset("disconnect reconnect status info list get remove delete cl
 _DEVICES = frozenset(
     "device devices plc controller server endpoint broker connection session target gateway client".split()
 )
-_OPENS = frozenset("open establish start create".split())
+_OPENS = frozenset("open establish start create setup".split())
 _REGISTERS = frozenset("add register define configure create".split())
 _REGISTERED = "otmcp"
 """The name under which a device is registered."""
@@ -119,7 +120,7 @@ _NAMES = ("name", "id", "alias", "label", *(f"{thing}{end}" for thing in _THINGS
 _PLACES: tuple[tuple[str, tuple[str, ...]], ...] = (
     (r"^(\w+_)?port$", ("{port:int}",)),
     (r"^(\w+_)?(url|uri|endpoint)$", ("{url}",)),
-    (r"^(\w+_)?(host|hostname|ip|ip_?addr(ess)?|address|addr)$", ("{host}", "{host}:{port}", "{url}")),
+    (r"^(\w+_)?(host|hostname|ip|ip_?addr(ess)?|address|addr|broker|server)$", ("{host}", "{host}:{port}", "{url}")),
 )
 """Patterns of arguments that tell a step where the device is, to the values they may mean: the first where the port is told beside it."""
 

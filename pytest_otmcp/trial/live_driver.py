@@ -22,6 +22,7 @@ from .bench import Bench
 from .driver import ItemHistory, SessionFacts
 from .gc_pause import uncollected
 from .live_player import LiveItemState, LivePlayer
+from .proving import ARRIVAL
 from .repetition import Repetition
 from .rig import EndedError, Rig, adapter_name
 from .task import Steps, Task, execute
@@ -71,7 +72,10 @@ class LiveDriver:
                 # Another program had its port when an item before wanted to start it again.
                 await state.under_test.device.start()
                 state.under_test.cursor.restart()
-            if await state.under_test.device.reset():
+            cursor = state.under_test.cursor
+            # Where the proof was that a client has arrived, nothing but another arrival can prove the session again.
+            doubted = cursor.preferred == ARRIVAL and cursor.proven is None
+            if await state.under_test.device.reset() or doubted:
                 # What an earlier item has done to the connection is nothing that this one asks about.
                 await state.under_test.close()
             # Those ended with earlier items.
