@@ -391,7 +391,7 @@ async def unknown_arguments_are_refused(run: Repetition, at: Rig) -> None:
     asked = writing or some_read(run, at)
     if asked is None:
         run.not_applicable(
-            "no operation is bound, so no tool is known that may be called with an argument of another one"
+            "no operation is bound that reads, or that proves the session before a write, so no tool is known that may be called"
         )
     if at.tool_of(asked.operation, **asked.inputs) is None:
         run.not_applicable(f"{asked.operation} is not performed by one tool call")

@@ -204,9 +204,11 @@ async def test_a_half_open_connection_is_dead_and_others_are_served(modbus: Mock
     assert (await cells(modbus))[10] == 0
     other = Raw(*await asyncio.open_connection(modbus.host, modbus.port))
     assert await other.ask(READ_THREE) == "03060032001e0028"
+    assert await modbus.control.ask("reset") == {"dead_connections": 1}
     other.writer.close()
     raw.writer.close()
     await modbus.control.wait(kind="DISCONNECTED", connection=1)
+    assert await modbus.control.ask("reset") == {"dead_connections": 0}
 
 
 async def test_a_black_hole_accepts_and_never_answers(modbus: MockProgram, raw: Raw) -> None:
