@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,6 +77,7 @@ class Table:
         example: an action, for the sentence that refuses a rule without one.
         required: conditions that every rule has to have.
         one_action: a rule has exactly one action.
+        qualifiers: members of an action that say how another one is done.
     """
 
     conditions: Mapping[str, Field]
@@ -84,6 +85,7 @@ class Table:
     example: str
     required: Sequence[str] = ()
     one_action: bool = False
+    qualifiers: Collection[str] = ()
 
     def read(self, source: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of a rule, conditions and actions together. A null is left out, as if it were missing.
@@ -92,7 +94,8 @@ class Table:
             ValueError: there is no action, an unknown name, or a value that the name cannot have.
         """
         action = source.get("action")
-        if not isinstance(action, Mapping) or not action or (self.one_action and len(action) != 1):
+        names = action.keys() - {*self.qualifiers} if isinstance(action, Mapping) else ()
+        if not isinstance(action, Mapping) or not names or (self.one_action and len(names) != 1):
             count = "one action" if self.one_action else "an action"
             raise ValueError(f"a fault rule needs {count}, for instance {{'action': {self.example}}}")
         conditions = {name: value for name, value in source.items() if name != "action"}

@@ -73,6 +73,7 @@ def _is_mangling(value: object) -> bool:
 
 MANNERS = {
     "drip_s": number(0, 60),
+    "drip_bytes": integer(1, 65535),
     "duplicate": FLAG,
     "half_open": FLAG,
     "mangle": Field(
@@ -113,7 +114,8 @@ class Manner:
     """How one answer travels.
 
     Attributes:
-        drip_s: its bytes are sent one by one, so many seconds apart; what is sent afterwards waits behind them.
+        drip_s: its bytes are sent in pieces, so many seconds apart; what is sent afterwards waits behind them.
+        drip_bytes: length of a piece.
         duplicate: it is sent twice. The protocols do that themselves, so that the journal has both.
         half_open: the request is not executed, and from then on this connection is dead without an end: everything is lost, in
             both directions. Other connections are served.
@@ -121,6 +123,7 @@ class Manner:
     """
 
     drip_s: float = 0.0
+    drip_bytes: int = 1
     duplicate: bool = False
     half_open: bool = False
     mangle: Mangling | None = None
@@ -263,7 +266,7 @@ class Link(asyncio.Transport):
         self._above: asyncio.Protocol | None = above
         self._manner = AT_ONCE
         # What waits behind a drip, or until the network is open; None stands for the end of the connection.
-        self._waiting: deque[tuple[bytes, float] | None] = deque()
+        self._waiting: deque[tuple[bytes, float, int] | None] = deque()
         self._timer: asyncio.TimerHandle | None = None
         self._untaken = bytearray()
         self._held: set[str] = set()
@@ -357,7 +360,7 @@ class Link(asyncio.Transport):
 
     def _pass_on(self, data: Any) -> None:
         if self._manner.drip_s or self._waiting or self._timer is not None or self._stalled:
-            self._waiting.append((bytes(data), self._manner.drip_s))
+            self._waiting.append((bytes(data), self._manner.drip_s, self._manner.drip_bytes))
             self._go_on()
         else:
             self._send(data)
@@ -377,13 +380,13 @@ class Link(asyncio.Transport):
             if first is None:
                 self._transport.close()
                 return
-            data, drip_s = first
+            data, drip_s, piece = first
             if not drip_s:
                 self._send(data)
                 continue
-            self._send(data[:1])
-            if data[1:]:
-                self._waiting.appendleft((data[1:], drip_s))
+            self._send(data[:piece])
+            if data[piece:]:
+                self._waiting.appendleft((data[piece:], drip_s, piece))
             self._timer = asyncio.get_running_loop().call_later(drip_s, self._next_byte)
             return
 

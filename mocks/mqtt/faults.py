@@ -40,6 +40,7 @@ TABLE = Table(
     example="{'no_answer': true}",
     required=("packet",),
     one_action=True,
+    qualifiers=("drip_bytes",),
 )
 
 

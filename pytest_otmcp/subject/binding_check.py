@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from ..core.tool_entry import TWICE
+from ..protocols.protocol import Operation
+from ..protocols.registry import protocols
 from .addressing import mentions_address
 from .claims import Claims
 from .model import Adapter, handles, placeholders
@@ -34,6 +36,10 @@ def check_bindings(adapter: Adapter, tools: Mapping[str, Mapping[str, object]]) 
                 if binding.command is not None:
                     where = f"adapter.{adapter.protocol}.commands.{binding.command.name}"
                 found += _compare(where, binding.tool, binding.arguments, tools)
+                # Of several bindings another one may be for the calls that do not give the input.
+                if len(bound) == 1:
+                    asked = protocols()[adapter.protocol].operations[name]
+                    found += _left_out(where, asked, binding.tool, binding.arguments, tools)
     if adapter.connect is not None:
         where = f"adapter.{adapter.protocol}.connect"
         found += _compare(where, adapter.connect.tool, adapter.connect.arguments, tools)
@@ -76,6 +82,20 @@ def _compare(
     for argument in schema.get("required") or []:
         if argument not in arguments:
             yield f"{where}.arguments: the tool {tool!r} requires {argument!r}"
+
+
+def _left_out(
+    where: str, asked: Operation, tool: str, arguments: Mapping[str, Any], tools: Mapping[str, Mapping[str, Any]]
+) -> Iterator[str]:
+    """Yield the arguments that a tool requires and that stand for an input which most calls do not give."""
+    required = (tools.get(tool, {}).get("inputSchema") or {}).get("required") or []
+    free = {f"${name}": name for name in asked.voluntary_inputs if name not in asked.defaults}
+    for argument, value in arguments.items():
+        if argument in required and isinstance(value, str) and value in free:
+            yield (
+                f"{where}.arguments.{argument}: the tool {tool!r} requires it, and {value} is left out where no {free[value]} is asked for; "
+                "give the value that the mock device has, such as 1"
+            )
 
 
 def _type_of(schema: object) -> object:

@@ -29,7 +29,11 @@ async def exchange(modbus: MockProgram, request: bytes = READ_HR_0) -> None:
 
 async def test_answers_carry_the_ids_of_pipelined_requests(modbus: MockProgram) -> None:
     results = await asyncio.gather(*(modbus.control.ask(op) for op in ("image", "ready", "reset") * 20))
-    assert [set(result) for result in results] == [{"units", "points"}, {"protocol", "port", "pid"}, {"dead_connections"}] * 20
+    assert [set(result) for result in results] == [
+        {"units", "points"},
+        {"protocol", "port", "pid"},
+        {"dead_connections"},
+    ] * 20
 
 
 async def test_requests_of_one_client_are_done_in_order(modbus: MockProgram) -> None:
