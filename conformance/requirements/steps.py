@@ -189,6 +189,10 @@ def since(reply: Reply, entries: Entries) -> Entries:
     return [entry for entry in entries if entry["t_ns"] >= reply.exchange.sent_ns]
 
 
+_LOOKS, _LOOK_S = 20, 0.05
+"""How often, and after how many seconds each, the device is looked at for what a library sends after a call."""
+
+
 async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001", by: Asked | None = None) -> Reply:
     """Read until that succeeds, at most for as long as the subject declares: the faults of the device are over. An adapter that does not
     claim to connect again by itself gets a session of its own first. Return the last reply.
@@ -216,13 +220,26 @@ async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001
 
 
 async def _over_a_connection_that_lives(run: Repetition, at: Rig, reply: Reply, requirement: str) -> None:
-    """Expect of a call, which may have waited in vain or for nothing at all, that what it sent was not sent to an end that has vanished."""
-    seen = reply.during(await at.journal())
-    if any(entry["kind"] == "lost" for entry in seen) and not any(entry["answers"] is not None for entry in seen):
-        message = (
-            f"{reply.label}: it claims success, and the device answered nothing: its end of the connection has vanished"
-        )
-        run.judge(reply, [Finding(code="no_exchange", message=message, requirement=requirement)])
+    """Expect of a call, which may have waited in vain or for nothing at all, that the device has answered what it sent."""
+    seen: Entries = reply.during(await at.journal())
+    waits = 0 if at.subject.blocks(reply.operation) else _LOOKS
+    while not _answered(seen) and waits and not _lost(seen):
+        # A library may send after the call has been answered what it was handed during it.
+        await at.pause(_LOOK_S)
+        seen, waits = since(reply, await at.journal()), waits - 1
+    if _answered(seen) or (at.subject.blocks(reply.operation) and not _lost(seen)):
+        return
+    what = "its end of the connection has vanished" if _lost(seen) else "nothing has reached it"
+    message = f"{reply.label}: it claims success, and the device answered nothing: {what}"
+    run.judge(reply, [Finding(code="no_exchange", message=message, requirement=requirement)])
+
+
+def _answered(entries: Entries) -> bool:
+    return any(entry["answers"] is not None for entry in entries)
+
+
+def _lost(entries: Entries) -> bool:
+    return any(entry["kind"] == "lost" for entry in entries)
 
 
 async def read(run: Repetition, at: Rig) -> tuple[Asked, Reply]:

@@ -265,7 +265,14 @@ DEFECTS: tuple[Defect, ...] = (
         "ERR-003",
     ),
     defect("MU-118d", "opcua", "A denied access is a missing node.", failing(change=denied_is_an_address), "ERR-003"),
-    defect("MU-119", "mqtt", "A connection that the broker refuses is a timeout.", refusal_is_a_timeout, "ERR-004"),
+    defect(
+        "MU-119",
+        "mqtt",
+        "A connection that the broker refuses is a timeout.",
+        refusal_is_a_timeout,
+        "ERR-004",
+        "ERR-004 ERR-006",
+    ),
     defect(
         "MU-119s",
         "mqtt",

@@ -47,7 +47,7 @@ def first_segment_alone(server: AdapterServer) -> None:
         genuine(self, data)
         self.recv_buffer = b""
 
-    ModbusProtocol.data_received = received  # type: ignore[method-assign]
+    ModbusProtocol.data_received = received
 
 
 def whole_bytes_of_bits(server: AdapterServer) -> None:
