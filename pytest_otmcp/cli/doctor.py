@@ -149,7 +149,10 @@ def _gaps(adapter: Adapter) -> list[str]:
     return [
         name
         for name in known.facets
-        if not known.is_voluntary(name) and name not in adapter.unclaimed and adapter.why_not_testable(name) is not None
+        if not known.is_voluntary(name)
+        # An input of an operation that is not claimed is not claimed either.
+        and adapter.unclaimed.keys().isdisjoint((name, name.partition(".")[0]))
+        and adapter.why_not_testable(name) is not None
     ]
 
 

@@ -78,6 +78,8 @@ def in_words(
     call = call or next((call for call in reversed(calls) if any(_during(call, entry) for entry in changing)), None)
     call = call or next((call for call in calls if call["role"] == "task"), calls[0])
     during = [entry for entry in requests if _during(call, entry)]
+    # What is no request reached it all the same.
+    during = during or [entry for entry in entries if entry.get("kind") == "malformed" and _during(call, entry)]
     shown = [entry for entry in during if entry.get("state_changing")] or during
     return InWords(
         asked=clipped(f"{call.get('tool')} {_json(call.get('arguments'))}", _LETTERS),

@@ -60,3 +60,27 @@ def test_a_schema_that_takes_more_than_it_names_is_believed(tmp_path: Path, sche
 def test_the_connect_step_is_compared_as_well(tmp_path: Path) -> None:
     (missing,) = found(tmp_path, read_registers=tool("addres", "count"))
     assert missing.startswith("adapter.modbus.connect.tool: the adapter lists no tool 'open'")
+
+
+LEFT_OUT = """
+[subject]
+name = "x"
+version = "1"
+[adapter.modbus]
+command = ["adapter"]
+answer = "text"
+[adapter.modbus.bind.read_holding]
+tool = "read"
+arguments = { address = "$address", count = "$count", slave = "$unit" }
+result = { values = {} }
+"""
+
+
+def test_a_required_argument_that_most_calls_leave_out_is_named(tmp_path: Path) -> None:
+    (tmp_path / "otmcp.toml").write_text(LEFT_OUT, encoding="utf-8")
+    adapter = load_subject(tmp_path / "otmcp.toml").adapters["modbus"]
+    assert check_bindings(adapter, {"read": tool("address", "count", optional="slave")}) == []
+    assert check_bindings(adapter, {"read": tool("address", "count", "slave")}) == [
+        "adapter.modbus.bind.read_holding.arguments.slave: the tool 'read' requires it, and $unit is left out where no unit is asked for; "
+        "give the value that the mock device has, such as 1"
+    ]
