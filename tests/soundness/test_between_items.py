@@ -14,7 +14,7 @@ from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.soundness.judging import measured
-from pytest_otmcp.subject import Adapter
+from pytest_otmcp.subject import Adapter, load_subject
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
@@ -24,6 +24,9 @@ from pytest_otmcp.trial.task import Tasks
 from tests.trials import as_read, recorded
 
 from .conftest import DEFECT, Judge, Results, failing, foreign_subject, lying, requirements, words
+
+FIRST_MQTT = Path(__file__).parents[2] / "docs" / "first-adapter" / "first" / "mqtt.toml"
+"""Its library takes a subscription, and says nothing of the broker."""
 
 
 @pytest.mark.parametrize("following", ["M2", "M4"])
@@ -101,3 +104,30 @@ def test_a_finding_of_an_item_that_turns_out_not_to_apply_stands(judge: Judge) -
     results = judge("mqtt", *DEFECT, "MU-130t", tasks=items, described=tells_its_state)
     assert failing(results) == set(items.split()), words(results)
     assert requirements(results) == {"SPB-013"}, words(results)
+
+
+def test_a_connection_that_an_item_has_left_dead_is_no_part_of_the_next(loop: LoopThread, plant: Plant) -> None:
+    tasks = Tasks()
+
+    @tasks.task("Dies", "stress", "Let the connection die without an end.", needs="mqtt.subscribe", capability=None)
+    async def dies(run: Repetition, mqtt: Rig) -> None:
+        await mqtt.call("subscribe", filter="otmcp/before", qos=0)
+        await mqtt.device.poke(network="black_hole")
+        # The library hands it to a connection that never says that it has ended.
+        run.succeeds(await mqtt.call("subscribe", filter="otmcp/lost", qos=0))
+        await mqtt.wait_for(kind="lost", timeout_s=10.0)
+        await mqtt.device.poke(network="open")
+
+    subject = load_subject(FIRST_MQTT)
+    bench = Bench(subject, BenchOptions(), plant)
+
+    async def two_items() -> tuple[Any, Any]:
+        try:
+            left = await measured(bench, dies)
+            return left, await measured(bench, tasks_by_id()["Q2"])
+        finally:
+            await bench.close()
+
+    left, following = loop.run(two_items())
+    assert left["status"] == "PASS", words({"Dies": left})
+    assert following["status"] == "PASS", words({"Q2": following})
