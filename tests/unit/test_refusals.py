@@ -24,6 +24,7 @@ from pytest_otmcp.protocols.registry import protocols
         ("dnp3", {"iin": 0x0400}, "iin2-2"),
         ("dnp3", {"objects": [{"points": [{"index": 1, "status": 4}]}]}, "status-4"),
         ("profibus", {"status": 3}, "3"),
+        ("opcua", {"direction": "out", "results": [{"status": "BadTypeMismatch"}]}, "BadTypeMismatch"),
     ],
 )
 def test_a_refusal_of_a_device_is_a_code_of_its_protocol(protocol: str, answer: dict[str, Any], key: str) -> None:

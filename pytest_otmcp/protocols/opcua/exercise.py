@@ -147,7 +147,7 @@ def _is_asked_for(entry: JournalEntry, asked: Asked) -> bool:
 
 
 def _refusals(entry: JournalEntry) -> list[str]:
-    return statuses(entry) if entry["direction"] == "out" else []
+    return statuses(entry) if entry.get("direction") == "out" else []
 
 
 EXERCISE = Exercise(
