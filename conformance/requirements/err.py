@@ -7,6 +7,7 @@ from typing import Any
 
 from pytest_otmcp.core.error_registry import WireCode, registry, wire_codes
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt.oracle import refusals
 from pytest_otmcp.protocols.registry import protocols
@@ -87,7 +88,8 @@ _UNKNOWN_EXCEPTION = 0x7F
     "ERR-002", "Each exception of a Modbus device has its code.", needs="modbus.read_holding modbus.write_holding"
 )
 async def exceptions_have_their_code(run: Repetition, modbus: Rig) -> None:
-    """Read and write a register while the device answers with each exception code, and with one that does not exist.
+    """Read and write a register while the device answers with each exception code, and with one that does not exist; by every further
+    operation that reads or writes while it refuses with one of them.
 
     Said: a failure with the code of the table, whether a repetition makes sense, and the exception in the trace.
     Seen: the exception.
@@ -102,9 +104,35 @@ async def exceptions_have_their_code(run: Repetition, modbus: Rig) -> None:
         for functions, step in ((_READING_FUNCTIONS, read), (_WRITING_FUNCTIONS, write)):
             rules = [{"function": function, "action": {"exception": code.value}} for function in functions]
             await _has_code(run, modbus, rules, step, code, trace, "ERR-002")
+    code = known["2"]
+    refused = [{"action": {"exception": code.value}}]
+    for asked in _further(run, modbus):
+        await modbus.prove()
+
+        async def step(run: Repetition, at: Rig, asked: Asked = asked) -> tuple[Asked, Reply]:
+            return asked, await at.call(asked.operation, **asked.inputs)
+
+        is_read = not protocols()["modbus"].operations[asked.operation].writes
+        trace = {"exception_code": code.value}
+        await _has_code(run, modbus, refused, step, code, trace, "ERR-002", is_read=is_read)
     await a_read_works(run, modbus)
     await a_write_works(run, modbus)
 
+
+def _further(run: Repetition, modbus: Rig) -> list[Asked]:
+    """Return a read or a write by each operation but those of the exercise, as far as the subject has them."""
+    asks = exercise(modbus)
+    assert asks.every_write is not None
+    reads = [Asked(operation=name, inputs={"address": 4, "count": 3}) for name in _FURTHER_READS]
+    every = [*reads, *(asked for asked in asks.every_write(run.rng) if asked.operation != asks.writing)]
+    return [
+        asked
+        for asked in every
+        if modbus.subject.claims(asked.operation) and modbus.can_ask(asked.operation, asked.inputs)
+    ]
+
+
+_FURTHER_READS = ("read_input", "read_coils", "read_discrete_inputs")
 
 _OF_ITEMS = """
     BadNodeIdInvalid BadNodeIdUnknown BadAttributeIdInvalid BadIndexRangeInvalid BadIndexRangeNoData BadNotSupported BadUserAccessDenied
@@ -154,11 +182,13 @@ async def _has_code(
     requirement: str,
     *,
     told: Callable[[Entries], Sequence[object]] | None = None,
+    is_read: bool | None = None,
 ) -> None:
     """Read or write while the device answers by these rules, and expect the code that belongs to the answer.
 
     Args:
         told: finds the answers that refuse in what the device saw, where not each request has an answer.
+        is_read: the step reads; None where the step tells.
     """
     await at.device.fault(*rules)
     _, reply = await step(run, at)
@@ -166,7 +196,8 @@ async def _has_code(
     if not await met(at, reply) or (told is not None and not told(reply.during(await at.journal()))):
         # An adapter may get at its data in another way, which the device did not refuse.
         return
-    outcome = ("not_applicable",) if step is read else (code.outcome or "rejected", "unknown")
+    reads = step is read if is_read is None else is_read
+    outcome = ("not_applicable",) if reads else (code.outcome or "rejected", "unknown")
     run.fails(reply, *code.codes, outcome=outcome, trace=trace, requirement=requirement)
 
 

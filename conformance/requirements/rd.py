@@ -236,10 +236,18 @@ _FALSE_HEADERS: Mapping[str, Mapping[str, object]] = {
 }
 
 
+_FALSE_BITS: Mapping[str, Mapping[str, object]] = {
+    "with the next transaction identifier": {"transaction_id": 1},
+    "of function 2": {"answer_function": 2},
+    "that has a byte less than was asked for": {},
+}
+
+
 @TASKS.check("RD-005", "An answer that does not fit its request is no data.", needs="modbus.read_holding")
 async def false_answers_are_no_data(run: Repetition, modbus: Rig) -> None:
     """Read a register while the device answers with a false value and something that shows that it is no answer to the request:
-    another transaction, protocol, function, byte count or length; then four registers of which it sends two, or six. After each a read works.
+    another transaction, protocol, function, byte count or length; then four registers of which it sends two, or six; and nine coils in the
+    same way. After each a read works.
 
     Said: failures with `protocol_error`, `connect_failed`, `connection_lost` or `timeout`; or what the device holds where the
         adapter asked again. An adapter that tells exactly the values that came, too few or too many, gets a warning.
@@ -251,6 +259,9 @@ async def false_answers_are_no_data(run: Repetition, modbus: Rig) -> None:
         await _is_no_data(run, modbus, what, action, requirement="RD-005")
     for count in (2, 6):
         await _wrong_number(run, modbus, count)
+    if modbus.can_ask(COILS, {"address": 30, "count": 9}):
+        for what, action in _FALSE_BITS.items():
+            await _is_no_bit(run, modbus, what, action)
 
 
 async def _is_no_data(
@@ -268,6 +279,26 @@ async def _is_no_data(
     else:
         run.succeeds(reply, requirement=requirement, values=[held])
     await works_again(run, modbus, "read_holding", address=40, count=1)
+
+
+async def _is_no_bit(run: Repetition, modbus: Rig, what: str, action: Mapping[str, object]) -> None:
+    """Read nine coils while the device answers with others, and something that shows that it is no answer to the request."""
+    held = _nonces(run, COILS, 9)
+    false = [not bit for bit in held]
+    await _set(modbus, COILS, 30, held)
+    sent = false if action else false[:8]
+    rule = {**action, "answer_values": [int(bit) for bit in sent]}
+    await modbus.device.fault({"function": 1, "times": 1, "action": rule})
+    reply = await modbus.call(COILS, address=30, count=9)
+    await modbus.device.fault()
+    told = reply.outputs.get("values")
+    if not reply.success:
+        _refuses(run, reply, "RD-005")
+    elif same_json(told, sent):
+        run.judge(reply, [_taken(reply, f"an answer {what} says {sent}", "RD-005", warning=not action)])
+    else:
+        run.succeeds(reply, requirement="RD-005", values=held)
+    await works_again(run, modbus, COILS, address=30, count=9)
 
 
 def _refuses(run: Repetition, reply: Reply, requirement: str) -> None:

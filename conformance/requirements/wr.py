@@ -31,7 +31,7 @@ from pytest_otmcp.wire.mqtt.sparkplug import parse_topic
 
 from ..commanded import carried_out
 from ..commanded import guarded as guarded_command
-from ..tasks.common import UNCERTAIN, a_meaningless_switch_enables_nothing, each_fails, each_write
+from ..tasks.common import ITS_OWN_REFUSALS, UNCERTAIN, a_meaningless_switch_enables_nothing, each_fails, each_write
 from .fenced import BEYOND, FORBIDDEN, beyond, can_be_asked, is_written, refused, whole
 from .steps import (
     CONNECTION_FAULTS,
@@ -93,10 +93,10 @@ async def _prepare(at: Rig, asked: Asked) -> None:
 
 @TASKS.check("WR-001", "What is reported as written is in the device.", needs="modbus.write_holding")
 async def a_modbus_write_has_its_effect(run: Repetition, modbus: Rig) -> None:
-    """Write by every operation that writes; then write a register while the device refuses it.
+    """Write by every operation that writes; then write a register while the device refuses it; switch coils on and off.
 
-    Said: success; for the last a failure with `illegal_value`.
-    Seen: the device holds what was written; what was refused is not in it.
+    Said: success; for the write that is refused a failure with `illegal_value`.
+    Seen: the device holds what was written, and nothing else has changed; what was refused is not in it.
     Why: an assistant that reads "written" goes on as if the valve had moved.
     """
     await _have_their_effect(run, modbus)
@@ -108,6 +108,31 @@ async def a_modbus_write_has_its_effect(run: Repetition, modbus: Rig) -> None:
         # Without its device an adapter has nothing to tell of what the device would have said.
         codes += [] if refused.during(await modbus.journal()) else CONNECTION_FAULTS
     run.fails(refused, *codes, requirement="WR-001", code_requirement="ERR-002")
+    await _coils_go_both_ways(run, modbus)
+
+
+_CELLS = 1000
+"""Cells of each table, more than fit into the last eight bits of an address."""
+
+
+async def _coils_go_both_ways(run: Repetition, modbus: Rig) -> None:
+    """Switch a coil on and off, at the usual address and at one that is large."""
+    await modbus.prove()
+    await modbus.device.poke(unit=1, cells=_CELLS)
+    for address in (4, run.rng.randrange(_CELLS // 2, _CELLS)):
+        for value in (True, False):
+            if not modbus.can_ask("write_coil", {"address": address, "value": value}):
+                continue
+            await modbus.device.poke(unit=1, table="coils", address=address, values=[not value])
+            before = await modbus.device.image()
+            reply = await modbus.call("write_coil", address=address, value=value)
+            # An adapter may know its coils, and say so of another one.
+            refusals = () if address == 4 else ITS_OWN_REFUSALS
+            written = exact_or_refused(run, reply, *refusals, requirement="WR-001")
+            after = {f"1/coils/{address}": value} if written else {}
+            run.witnessed(witness(modbus).only_changed(before, await modbus.device.image(), after, otherwise="WR-001"))
+            if written:
+                run.witnessed(witness(modbus).holds(await modbus.device.image(), after))
 
 
 @TASKS.check("WR-001", "What is reported as written is in the server.", needs="opcua.write")
@@ -163,8 +188,19 @@ async def _have_their_effect(run: Repetition, at: Rig) -> None:
         run.succeeds(reply, requirement="WR-001")
         if reply.success:
             run.witnessed(witness(at).holds(await at.device.image(), asked.points))
+            await _and_back(run, at, asked)
         elif reply.success is False:
             run.witnessed(await _done_all_the_same(at, asked, reply))
+
+
+async def _and_back(run: Repetition, at: Rig, asked: Asked) -> None:
+    """Switch off what a write has switched on: who answers "off" and sends "on" is right half of the time."""
+    if asked.inputs.get("value") is not True or {*map(str, asked.points.values())} != {"True"}:
+        return
+    off = replace(asked, inputs={**asked.inputs, "value": False}, points=dict.fromkeys(asked.points, False))
+    if at.can_ask(off.operation, off.inputs):
+        run.succeeds(await at.call(off.operation, **off.inputs), requirement="WR-001")
+        run.witnessed(witness(at).holds(await at.device.image(), off.points))
 
 
 async def _done_all_the_same(at: Rig, asked: Asked, reply: Reply) -> list[Finding]:
@@ -292,7 +328,8 @@ async def a_write_changes_its_target_alone(run: Repetition, at: Rig) -> None:
 
 @TASKS.every_protocol("WR-003", "A write is sent once, whatever becomes of its answer.", writes=True, status=True)
 async def a_write_is_sent_once(run: Repetition, at: Rig) -> None:
-    """Write; write while the device answers late; while it resets the connection instead; and while it never answers.
+    """Write; write while the device answers late; while it resets the connection instead; and while it never answers, over Modbus by
+    every operation that writes.
 
     Said: success twice; then failures with `timeout` or `connection_lost` and the outcome `unknown`, or success where the adapter
         has found out by itself that the write was done.
@@ -311,6 +348,26 @@ async def a_write_is_sent_once(run: Repetition, at: Rig) -> None:
         await at.watch(QUIET_S)
         if not reply.success:
             run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-003", code_requirement="ERR-005")
+        entries = since(reply, await at.journal())
+        run.witnessed(_at_most_once(at, reply, asks.done(entries, asked), "WR-003", entries))
+    if asks.every_writing:
+        await _further_writes_are_sent_once(run, at)
+
+
+async def _further_writes_are_sent_once(run: Repetition, at: Rig) -> None:
+    """Write by every further operation while the device never answers."""
+    asks = exercise(at)
+    for asked in _every_write(run, at):
+        if asked.operation == asks.writing or not at.can_ask(asked.operation, asked.inputs):
+            continue
+        await at.prove()
+        await _prepare(at, asked)
+        await at.device.fault(*faulty(asks.every_writing, **silence(at)))
+        reply = await at.call(asked.operation, **asked.inputs)
+        await at.device.fault()
+        await answers_again(run, at)
+        if not reply.success:
+            run.fails(reply, *CONNECTION_FAULTS, *ITS_OWN_REFUSALS, requirement="WR-003", code_requirement="ERR-005")
         entries = since(reply, await at.journal())
         run.witnessed(_at_most_once(at, reply, asks.done(entries, asked), "WR-003", entries))
 

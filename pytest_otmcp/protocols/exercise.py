@@ -238,6 +238,8 @@ class Exercise:
         reset: rules with which the device resets the connection instead of answering.
         refused: rules with which the device refuses what is read, by an answer of the protocol.
         unauthorised: rules with which the device refuses the account of a client that connects; empty where it knows no accounts.
+        every_writing: the conditions that the request of each operation that writes meets, where ``writes`` are those of the usual one
+            alone; empty where all writes are alike.
         write_refused: action of a fault rule with which the device refuses a write, and the code of the failure that this is; None where
             checks of the protocol's own have it.
         outside: values that are outside of the protocol's own domain of an input of the read or the write, by input; some are the good
@@ -293,6 +295,7 @@ class Exercise:
     otherwise: tuple[Writing, ...] = ()
     unauthorised: tuple[Rule, ...] = ()
     write_refused: tuple[Mapping[str, object], str] | None = None
+    every_writing: tuple[Rule, ...] = ()
     outside: Mapping[str, tuple[object, ...]] = field(default_factory=dict)
     unanswered: Mapping[str, tuple[object, ...]] = field(default_factory=dict)
     refusals: Callable[[JournalEntry], Sequence[str]] = _no_refusals

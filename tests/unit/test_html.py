@@ -348,7 +348,7 @@ def test_a_run_that_fails_everywhere_with_endless_texts_is_a_page_below_twenty_m
 def test_the_verdict_is_in_words_first_and_what_narrowed_the_run_is_beside_it() -> None:
     shown = Page(page(run(ALL))).text
     assert "Verdict: ✓ CONFORMANT no level 6 of 38 items passed" in shown
-    assert "What narrowed this run" not in shown
+    assert "What this run does not cover" not in shown
     record = run([*ALL, UNCLAIMED], complete=False, timing_valid=False)
     record["settings"] = {
         "reps": 3,
@@ -359,7 +359,7 @@ def test_the_verdict_is_in_words_first_and_what_narrowed_the_run_is_beside_it() 
     }
     narrowed = Page(page(record)).text
     assert "Verdict: ○ INCOMPLETE 6 of 38 items passed, 1 does not apply" in narrowed
-    assert narrowed.index("What narrowed this run") < narrowed.index("The run is not complete")
+    assert narrowed.index("What this run does not cover") < narrowed.index("The run is not complete")
     for reason in (
         "The run is not complete: interrupted by the user.",
         "These suites were left out: fault, stress, recovery.",

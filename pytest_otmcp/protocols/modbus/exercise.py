@@ -184,6 +184,7 @@ EXERCISE = Exercise(
     done=every_change,
     reads=({"function": 3},),
     writes=({"function": 6}, {"function": 16}),
+    every_writing=tuple({"function": function} for function in (5, 6, 15, 16, 22)),
     refusals=_refusals,
     silent=({"action": {"drop": True}},),
     reset=({"action": {"reset": True}},),

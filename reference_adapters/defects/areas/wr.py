@@ -20,6 +20,22 @@ _WRITE, _BLOCK, _MASK, _COIL = "write_register", "write_registers", "mask_write_
 
 
 @around(_COIL)
+async def coil_always_on(genuine: Handler, call: Call, arguments: Any) -> Data:
+    await genuine(call, arguments.model_copy(update={"value": True}))
+    return {"address": arguments.address, "value": arguments.value}
+
+
+@around(_COIL)
+async def coil_of_the_lowest(genuine: Handler, call: Call, arguments: Any) -> Data:
+    await genuine(call, arguments.model_copy(update={"address": arguments.address % 64}))
+    return {"address": arguments.address, "value": arguments.value}
+
+
+def _coil_as_asked(call: Call, arguments: Any) -> Data:
+    return {"address": arguments.address, "value": arguments.value}
+
+
+@around(_COIL)
 async def coil_not_sent(genuine: Handler, call: Call, arguments: Any) -> Data:
     return {"address": arguments.address, "value": arguments.value}
 
@@ -271,6 +287,22 @@ DEFECTS: tuple[Defect, ...] = (
         coil_not_sent,
         "WR-001 WR-002 WR-004 WR-006 WR-009 WR-010",
         "WR-001 WR-006 WR-009",
+    ),
+    defect("MU-14d", "modbus", "A coil is switched on, whatever is asked for.", coil_always_on, "WR-001"),
+    defect("MU-06c", "modbus", "Of a coil's address the last six bits count.", coil_of_the_lowest, "WR-001"),
+    defect(
+        "MU-14e",
+        "modbus",
+        "A coil that the device refuses is told as switched.",
+        succeeding(_COIL, code="illegal_address", answer=_coil_as_asked),
+        "ERR-002",
+    ),
+    defect(
+        "MU-25d",
+        "modbus",
+        "A coil whose write has no answer is switched again.",
+        sent_again("timeout", "connection_lost", names=(_COIL,)),
+        "WR-003",
     ),
     defect(
         "MU-14o",
