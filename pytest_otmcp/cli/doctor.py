@@ -103,6 +103,10 @@ def run(args: argparse.Namespace) -> int:
         else:
             state = "all is well, next"
         show(f"{state}: {_next(args)}")
+    elif well and not args.command:
+        show(
+            "nothing is bound for some of them, so nothing can be asked: bind what otmcp init proposes, and try it with otmcp call"
+        )
     return 0 if well else 1
 
 

@@ -39,6 +39,10 @@ def certificate_page(certificate: Mapping[str, Any], sha256: str, *, signed: boo
             ("run.json", record["digest"]["sha256"]),
             ("certificate.json", sha256),
         ],
+        shown=[
+            (protocols()[protocol].name, list(facts["facets"]["earned"]), facts["outputs_not_judged"])
+            for protocol, facts in told["adapters"].items()
+        ],
         warnings=told["warnings"],
         not_claimed=[
             (protocols()[protocol].name, name, reason)
@@ -108,7 +112,7 @@ def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         (
             "Repetitions",
-            f"{total['passed']} of {total['planned']} passed, {counted(counts['tool_calls']['task'], 'tool call')}; N = {settings['reps']}",
+            f"{total['passed']} of {total['planned']} passed, {counted(sum(counts['tool_calls'].values()), 'tool call')}; N = {settings['reps']}",
         ),
         *([("Walls", " ".join(walls))] if walls else []),
         *([("Challenge", settings["challenge"])] if "challenge" in settings else []),

@@ -75,13 +75,15 @@ class LiveDriver:
             cursor = state.under_test.cursor
             # Where the proof was that a client has arrived, nothing but another arrival can prove the session again.
             doubted = cursor.preferred == ARRIVAL and cursor.proven is None
-            if await state.under_test.device.reset() or doubted:
-                # What an earlier item has done to the connection is nothing that this one asks about.
-                await state.under_test.close()
+            dead = await state.under_test.device.reset()
             # Those ended with earlier items.
             state.under_test.take_ended()
             state.under_test.take_leaks()
             await state.enter()
+            if dead or doubted:
+                # What an earlier item has done to the connection is nothing that this one asks about.
+                await state.under_test.close()
+                state.under_test.take_ended()
         await self.open_sessions()
 
     def before(self) -> Sequence[tuple[str, Entries, Declared, AskedFor]]:

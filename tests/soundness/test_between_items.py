@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 
+from pytest_otmcp.core.matrix import SUITES
 from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.soundness.judging import measured
-from pytest_otmcp.subject import Adapter, load_subject
+from pytest_otmcp.subject import Adapter, load_subject, reference_subject
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
@@ -131,3 +132,18 @@ def test_a_connection_that_an_item_has_left_dead_is_no_part_of_the_next(loop: Lo
     left, following = loop.run(two_items())
     assert left["status"] == "PASS", words({"Dies": left})
     assert following["status"] == "PASS", words({"Q2": following})
+
+
+def test_a_record_bears_out_that_a_session_began_anew_for_its_dead_connection(loop: LoopThread, plant: Plant) -> None:
+    bench, tasks = Bench(reference_subject(), BenchOptions(), plant), tasks_by_id(suites=SUITES)
+
+    async def three_items() -> dict[str, Any]:
+        try:
+            results = [await measured(bench, tasks[name]) for name in ("REC-003.opcua", "REC-005.opcua", "O1")]
+            return recorded(bench, results)
+        finally:
+            await bench.close()
+
+    record = loop.run(three_items())
+    assert [item["status"] for item in record["items"]] == ["PASS"] * 3
+    assert rejudge(as_read(record)) == []

@@ -331,7 +331,7 @@ def noticed_late(genuine: Handler) -> Handler:
         try:
             answer = await genuine(call, arguments)
         except AdapterError as error:
-            failures += 1
+            failures += error.code in ("connect_failed", "connection_lost", "timeout")
             if failures == 1:
                 raise AdapterError("timeout", "the device did not reply in time") from None
             if failures == 2:
