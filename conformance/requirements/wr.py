@@ -194,7 +194,7 @@ async def _have_their_effect(run: Repetition, at: Rig) -> None:
 
 
 async def _and_back(run: Repetition, at: Rig, asked: Asked) -> None:
-    """Switch off what a write has switched on: who answers "off" and sends "on" is right half of the time."""
+    """Switch off what a write has switched on; an adapter that always sends "on" would pass otherwise."""
     if asked.inputs.get("value") is not True or {*map(str, asked.points.values())} != {"True"}:
         return
     off = replace(asked, inputs={**asked.inputs, "value": False}, points=dict.fromkeys(asked.points, False))

@@ -10,19 +10,24 @@ import pytest
 from pytest_otmcp.subject import load_subject
 from pytest_otmcp.subject.binding_check import check_bindings
 
-FILE = """
+HEAD = """
 [subject]
 name = "x"
 version = "1"
 [adapter.modbus]
 command = ["adapter"]
 answer = "text"
+"""
+FILE = (
+    HEAD
+    + """
 connect = { tool = "open", arguments = { host = "{host}" } }
 [adapter.modbus.bind.read_holding]
 tool = "read_registers"
 arguments = { addres = "$address", count = "$count" }
 result = { values = {} }
 """
+)
 
 
 def tool(*required: str, optional: str = "", **more: Any) -> dict[str, Any]:
@@ -62,18 +67,15 @@ def test_the_connect_step_is_compared_as_well(tmp_path: Path) -> None:
     assert missing.startswith("adapter.modbus.connect.tool: the adapter lists no tool 'open'")
 
 
-LEFT_OUT = """
-[subject]
-name = "x"
-version = "1"
-[adapter.modbus]
-command = ["adapter"]
-answer = "text"
+LEFT_OUT = (
+    HEAD
+    + """
 [adapter.modbus.bind.read_holding]
 tool = "read"
 arguments = { address = "$address", count = "$count", slave = "$unit" }
 result = { values = {} }
 """
+)
 
 
 def test_a_required_argument_that_most_calls_leave_out_is_named(tmp_path: Path) -> None:

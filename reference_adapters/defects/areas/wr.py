@@ -19,20 +19,20 @@ __all__ = ["DEFECTS"]
 _WRITE, _BLOCK, _MASK, _COIL = "write_register", "write_registers", "mask_write_register", "write_coil"
 
 
+def _coil_as_asked(call: Call, arguments: Any) -> Data:
+    return {"address": arguments.address, "value": arguments.value}
+
+
 @around(_COIL)
 async def coil_always_on(genuine: Handler, call: Call, arguments: Any) -> Data:
     await genuine(call, arguments.model_copy(update={"value": True}))
-    return {"address": arguments.address, "value": arguments.value}
+    return _coil_as_asked(call, arguments)
 
 
 @around(_COIL)
 async def coil_of_the_lowest(genuine: Handler, call: Call, arguments: Any) -> Data:
     await genuine(call, arguments.model_copy(update={"address": arguments.address % 64}))
-    return {"address": arguments.address, "value": arguments.value}
-
-
-def _coil_as_asked(call: Call, arguments: Any) -> Data:
-    return {"address": arguments.address, "value": arguments.value}
+    return _coil_as_asked(call, arguments)
 
 
 @around(_COIL)
