@@ -100,3 +100,11 @@ def test_a_run_for_a_challenge_names_it(statement: dict[str, Any]) -> None:
 def test_it_says_how_to_check_it(statement: dict[str, Any], signed: bool, command: str) -> None:
     assert command in shown(statement, signed=signed)
     assert ("It is not signed." in shown(statement, signed=signed)) is not signed
+
+
+def test_what_the_items_used_and_what_they_did_not_read_is_named(statement: dict[str, Any]) -> None:
+    facts = statement["predicate"]["otmcp"]["adapters"]["modbus"]
+    facts["facets"]["earned"], facts["outputs_not_judged"] = {"ping": ["M1"], "write_coil": ["WR-001.modbus"]}, []
+    assert "Modbus: ping , write_coil ." in shown(statement)
+    facts["outputs_not_judged"] = ["write_coil.value"]
+    assert "Not judged in its answers: write_coil.value ." in shown(statement)

@@ -153,7 +153,7 @@ def answers(run: Run) -> Iterator[tuple[str, Said]]:
     html = page(run)
     box = re.search(
         r'<h2><span class="unseen">Verdict: </span>.*?</span>([^<]*)(?:<span class="level">(.*?)</span>)?'
-        r'(?:<span class="(no-level)">no level</span>)?</h2>',
+        r'(?:<span class="(no-level)">level not tested</span>)?</h2>',
         html,
     )
     assert box is not None
