@@ -7,10 +7,11 @@ from collections.abc import Generator, Iterator
 
 import pytest
 
+from pytest_otmcp.core.walls import MODES, OFF
 from pytest_otmcp.soundness.warm_start import WarmStart
 
 from . import lanes
-from .lanes import pytest_addoption, pytest_collection_modifyitems, pytest_sessionfinish, pytest_testnodedown
+from .lanes import pytest_collection_modifyitems, pytest_sessionfinish, pytest_testnodedown
 from .outside_witnesses import not_run
 
 __all__ = [
@@ -23,6 +24,14 @@ __all__ = [
     "pytest_xdist_auto_num_workers",
     "warm_start",
 ]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Declare the options of lanes, and the walls around the adapters of ``tests/soundness``."""
+    lanes.pytest_addoption(parser)
+    parser.addoption(
+        "--isolation", choices=MODES, default=OFF, help="walls around the adapters of tests/soundness (default: off)"
+    )
 
 
 def pytest_configure() -> None:

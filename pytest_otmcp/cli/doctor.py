@@ -150,7 +150,7 @@ def _different(adapter: Adapter) -> list[str]:
 def _gaps(adapter: Adapter) -> list[str]:
     """Return the facets that the subject file claims by its silence, and that nothing in it exercises."""
     known = protocols()[adapter.protocol]
-    return [
+    gaps = [
         name
         for name in known.facets
         if not known.is_voluntary(name)
@@ -158,6 +158,8 @@ def _gaps(adapter: Adapter) -> list[str]:
         and adapter.unclaimed.keys().isdisjoint((name, name.partition(".")[0]))
         and adapter.why_not_testable(name) is not None
     ]
+    # Of an operation that is not bound no input can be.
+    return [name for name in gaps if "." not in name or name.partition(".")[0] not in gaps]
 
 
 def _next(args: argparse.Namespace) -> str:

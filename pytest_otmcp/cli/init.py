@@ -141,11 +141,13 @@ def run(args: argparse.Namespace) -> int:
     before = f"#:schema {_schema(args.out.parent)}\n" if added_to is None else f"{added_to.rstrip()}\n\n"
     args.out.write_text(before + text, encoding="utf-8")
     # A proposal that cannot be loaded is a fault of the kit; it is better found here than by the user.
-    load_subject(args.out)
+    bound = load_subject(args.out).adapters[protocol].operations
     show(f"\n{args.out} is written. What is left to fill in:")
     for line in drafted.left:
         tell(f"  - {line}")
     named = "" if args.out == _DEFAULT else f"--otmcp-subject={args.out} "
+    if not bound:
+        show("No operation is bound, so a run has little to ask: bind one, and try it with otmcp call.")
     show(f"Then: pytest {named}--otmcp-reps=1")
     return 0
 

@@ -17,6 +17,8 @@ from ..core.errors import UsageError
 from ..core.text import counted
 from . import show as note
 from . import tell
+from .isolated import add_option as add_isolation
+from .isolated import isolated
 
 if TYPE_CHECKING:
     from ..soundness.defect import Declared, Defect
@@ -50,6 +52,7 @@ def add_parser(subparsers: Any) -> None:
         default=None,
         help="defects at a time (default: one a processor)",
     )
+    add_isolation(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.set_defaults(run=run)
 
@@ -58,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the defects and print the kill matrix.
 
     Raises:
-        UsageError: there is no such defect or area.
+        UsageError: there is no such defect or area, or walls are required and the machine refuses one.
         KitError: a defect could not be judged.
         KeyboardInterrupt: a signal has ended it.
     """
@@ -77,7 +80,10 @@ def run(args: argparse.Namespace) -> int:
         defects = [one for one in known.defects if args.all or one.sample]
     defects = _startable(defects)
     show.begin(defects, known, workers)
-    matrix = asyncio.run(_judged(known, defects, workers, show))
+    with isolated(args) as isolation:
+        # Each worker builds its own. This one shows beforehand what the machine refuses.
+        isolation.walls()
+        matrix = asyncio.run(_judged(known, defects, workers, args.isolation, show))
     if args.json:
         print(json.dumps(matrix.as_document(), indent=1, ensure_ascii=False))
     else:
@@ -114,7 +120,7 @@ def _number(text: str) -> int:
     return int(text)
 
 
-async def _judged(known: Declared, defects: list[Defect], workers: int, show: _Display) -> KillMatrix:
+async def _judged(known: Declared, defects: list[Defect], workers: int, isolation: str, show: _Display) -> KillMatrix:
     from ..core.matrix import REQUIREMENTS
     from ..soundness.kill_matrix import KillMatrix
     from ..soundness.pool import run as run_pool
@@ -129,7 +135,7 @@ async def _judged(known: Declared, defects: list[Defect], workers: int, show: _D
 
     drawing = asyncio.create_task(show.redraw())
     try:
-        await run_pool(defects, workers, begun=show.begun, done=done)
+        await run_pool(defects, workers, isolation, begun=show.begun, done=done)
     finally:
         drawing.cancel()
         with suppress(asyncio.CancelledError):

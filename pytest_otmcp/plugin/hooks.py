@@ -444,7 +444,6 @@ class _ResultReceiver:
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
-        self._failed: list[Any] = []
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logstart(self, nodeid: str) -> None:
@@ -477,19 +476,18 @@ class _ResultReceiver:
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_terminal_summary(self, terminalreporter: Any) -> Generator[None]:
-        """Leave the kit's items out of the section FAILURES, unless it is asked for more: the causes say the same in short."""
+        """Leave the kit's items out of pytest's lists of failures, unless it is asked for more: the causes say the same in short, and the
+        verdict stays in sight."""
         stats = terminalreporter.stats
-        self._failed = stats.get("failed", [])
-        if self._failed and self._config.option.verbose <= 0 and RECORDER in self._config.stash:
-            stats["failed"] = [report for report in self._failed if getattr(report, _RESULT, None) is None]
-        return (yield)
-
-    # This runs after pytest's own section FAILURES, and before its short summary.
-    @pytest.hookimpl(tryfirst=True, specname="pytest_terminal_summary")
-    def pytest_terminal_summary_begun(self, terminalreporter: Any) -> None:
-        """Give pytest its failures back, for its short summary."""
-        if self._failed:
-            terminalreporter.stats["failed"] = self._failed
+        failed = stats.get("failed", [])
+        if not failed or self._config.option.verbose > 0 or RECORDER not in self._config.stash:
+            return (yield)
+        stats["failed"] = [report for report in failed if getattr(report, _RESULT, None) is None]
+        try:
+            return (yield)
+        finally:
+            # pytest counts them in its last line.
+            stats["failed"] = failed
 
 
 @pytest.hookimpl(tryfirst=True)

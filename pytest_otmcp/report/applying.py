@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from ..core.verdict import Verdict
 from ..protocols.registry import protocols
 from ..suite.spoken import of_spoken
+from ..trial.applicability import NOT_CLAIMED
 from . import Run, applies
 from .text import clipped
 
@@ -25,8 +28,12 @@ def nothing_asked(run: Run) -> str:
     return f"nothing could be asked: {bind} in the subject file; otmcp init proposes bindings"
 
 
-def not_applying(run: Run) -> str:
-    """Say which items about the subject's protocols do not apply, and why; empty when all do."""
+def not_applying(run: Run, *, named: bool = True) -> str:
+    """Say which items about the subject's protocols do not apply, and why; empty when all do.
+
+    Args:
+        named: name each item; else the reasons alone are told, those of most items first, with the number of items.
+    """
     reasons: dict[str, list[str]] = {}
     for item in of_spoken(run)["items"]:
         if not applies(item):
@@ -34,5 +41,25 @@ def not_applying(run: Run) -> str:
     if not reasons:
         return ""
     count = sum(map(len, reasons.values()))
-    whys = "; ".join(f"{' '.join(ids)}: {clipped(reason, _LETTERS)}" for reason, ids in reasons.items())
-    return f"{count} {'does' if count == 1 else 'do'} not apply: {whys}"
+    told = (
+        [f"{' '.join(ids)}: {clipped(reason, _LETTERS)}" for reason, ids in reasons.items()]
+        if named
+        else _folded(reasons)
+    )
+    return f"{count} {'does' if count == 1 else 'do'} not apply: {'; '.join(told)}"
+
+
+def _folded(reasons: Mapping[str, Sequence[str]]) -> list[str]:
+    """Tell each reason once, with the facets that are not claimed for it."""
+    whys: dict[str, dict[str, int]] = {}
+    for reason, ids in reasons.items():
+        facet, claimed, why = reason.rpartition(NOT_CLAIMED)
+        whys.setdefault(why, {})[facet if claimed else ""] = len(ids)
+    ordered = sorted(whys.items(), key=lambda entry: -sum(entry[1].values()))
+    return [_told(clipped(why, _LETTERS), facets) for why, facets in ordered]
+
+
+def _told(why: str, facets: Mapping[str, int]) -> str:
+    if "" in facets:
+        return f"{why} ({sum(facets.values())})"
+    return f"{', '.join(f'{name} ({count})' for name, count in facets.items())}: {why}"

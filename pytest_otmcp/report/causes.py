@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from ..core.finding_registry import finding_codes
-from ..core.matrix import CROSS_PROTOCOL
+from ..core.matrix import CROSS_PROTOCOL, REQUIREMENTS
 from ..protocols.registry import protocols
 from ..record.schema import Finding
 from ..record.warnings import failing
@@ -21,7 +21,7 @@ from ..suite.requirements import requirements
 from . import Item, Run
 from .plainly import InWords, due, in_words
 
-__all__ = ["Cause", "causes", "extent", "rows", "without_cause"]
+__all__ = ["Cause", "causes", "extent", "remedy", "rows", "without_cause"]
 
 _ROLE = re.compile(r"^(?:setup|warmup|control): ")
 _VARIABLE = re.compile(r"""'(?:[^'\\]|\\.){0,1000}'|"(?:[^"\\]|\\.){0,1000}"|\[[^\]]{0,1000}\]|\d+(?:\.\d+)?""")
@@ -40,7 +40,7 @@ class Cause:
         family: name of the adapter's protocol, or what items about several protocols are called.
         rule: id of the requirement, or the code of the findings where they cite none.
         statement: the rule in plain words; empty for one that is not in the catalogue.
-        first: the first finding, in the order of the suite.
+        first: the finding that shows it best: the first of the benchmark or of the rule's own check, else the first.
         where: its item.
         repetition: number of its repetition, from 0; None when it was found outside of the repetitions.
         items: ids of the items that it touches, in the order of the suite.
@@ -76,9 +76,15 @@ class Cause:
     @property
     def changes(self) -> tuple[str, ...]:
         """What to change: for such a rule and in the libraries that the adapter was seen to use, else where the cause of such a finding usually is."""
-        known = findings().get(self.first["code"])
         by_rule = (self.by_rule,) if self.by_rule else ()
-        return by_rule + self.by_library or (() if known is None else (known[0].change,))
+        usual = remedy(None, self.first["code"])
+        return by_rule + self.by_library or ((usual,) if usual else ())
+
+
+def remedy(rule: str | None, code: str) -> str:
+    """Say what to change: for a rule, else where the cause of a finding with such a code usually is; empty where nothing is known."""
+    row, known = requirements().get(rule or ""), findings().get(code)
+    return row.change if row is not None and row.change else "" if known is None else known[0].change
 
 
 def extent(cause: Cause) -> str:
@@ -180,7 +186,7 @@ def _of_cross_protocol(one: _Found, kinds: Mapping[tuple[str, str], Collection[s
 
 
 def _cause(family: str, group: list[_Found], used: Collection[str], kinds_of: Mapping[str, Collection[str]]) -> Cause:
-    first = group[0]
+    first = _plainest(group)
     kinds = {one.kind: one for one in reversed(group)}
     further = sorted((one for kind, one in kinds.items() if kind != first.kind), key=lambda one: one.place)
     row = requirements().get(first.rule)
@@ -199,6 +205,14 @@ def _cause(family: str, group: list[_Found], used: Collection[str], kinds_of: Ma
         due=due(first.finding),
         by_rule="" if row is None else row.change,
         by_library=tuple(advice(first.rule, used)),
+    )
+
+
+def _plainest(group: list[_Found]) -> _Found:
+    """Return the finding that shows a fault best: one of the benchmark, or of the check of the rule itself. Other checks meet it on their way."""
+    return next(
+        (one for one in group if one.item["suite"] != REQUIREMENTS or one.item["id"].startswith(f"{one.rule}.")),
+        group[0],
     )
 
 

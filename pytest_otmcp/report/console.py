@@ -20,7 +20,7 @@ from ..suite.spoken import spoken, tell
 from . import Run, applies, least, tally, timing_valid
 from .applying import not_applying, nothing_asked
 from .baseline import Baseline, since
-from .causes import Cause, causes, extent, rows
+from .causes import Cause, causes, extent, remedy, rows
 from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
 from .families import apart
@@ -64,7 +64,7 @@ def summary(
     if verbosity > 0:
         lines += tables(run, width)
     if verbosity >= 0:
-        lines += [("", "plain"), *_suites(run, width), *_not_applying(run, width)]
+        lines += [("", "plain"), *_suites(run, width), *_not_applying(run, width, named=verbosity > 0)]
     if verbosity >= -1:
         lines += [("", "plain"), *_causes(run, width)]
     if verbosity >= 0:
@@ -117,8 +117,8 @@ def _suites(run: Run, width: int) -> Iterator[Line]:
             yield shortened(row, width), "bad" if red else "plain"
 
 
-def _not_applying(run: Run, width: int) -> Iterator[Line]:
-    for line in wrapped(not_applying(run), width, "  "):
+def _not_applying(run: Run, width: int, *, named: bool) -> Iterator[Line]:
+    for line in wrapped(not_applying(run, named=named), width, "  "):
         if line:
             yield line, "plain"
 
@@ -171,8 +171,13 @@ def _warnings(run: Run, width: int) -> Iterator[Line]:
         return
     yield "warnings", "head"
     for one in found:
-        for line in wrapped(f"  {said(one)}", width, "    "):
-            yield line, "plain"
+        change = remedy(one["requirement"], one["code"])
+        for text, indent in (
+            (f"  {said(one)}", "    "),
+            *([(f"      change: {change}", "        ")] if change else []),
+        ):
+            for line in wrapped(text, width, indent):
+                yield line, "plain"
     yield "", "plain"
 
 

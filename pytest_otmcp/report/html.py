@@ -19,7 +19,7 @@ from ..suite.spoken import of_spoken, spoken, tell
 from . import Item, Run, applies, command, deadlines, overview, tally, timing_valid
 from .applying import not_applying, nothing_asked
 from .capabilities import Grade, earned
-from .causes import Cause, causes, extent, without_cause
+from .causes import Cause, causes, extent, remedy, without_cause
 from .causes import rows as told_of
 from .drawings import latencies, recovery, strip, suite_strip
 from .evidence import failures
@@ -105,7 +105,7 @@ def page(run: Run, certificate: str | None = None) -> str:
         example=next((name for name, _ in rules if name in requirements()), next(iter(requirements()))),
         good=good,
         planned=planned,
-        warnings=warnings(run["items"]),
+        warnings=[(one, remedy(one["requirement"], one["code"])) for one in warnings(run["items"])],
         narrowed=reasons,
         strangers=strangers(run),
         deviations=overview.deviations(run),

@@ -27,7 +27,7 @@ _OUTPUT = "{0} {1}"
 _DUE = {
     code: [(re.compile(pattern), words) for pattern, words in sentences]
     for code, sentences in {
-        "not_refused": [(r"expected an error envelope with code (.+?), ", _CODES)],
+        "not_refused": [(r"expected (?:an error envelope|a failure) with code (.+?), ", _CODES)],
         "wrong_error_code": [(r"error code should be (.+?), it is ", _CODES)],
         "wrong_outcome": [(r"error outcome (?:of \w+ )?should be (.+?), it is ", "an error whose outcome is {0}")],
         "not_successful": [(r"expected success, got ", "success")],

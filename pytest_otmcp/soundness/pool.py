@@ -27,6 +27,7 @@ _GRACE_S = 90.0
 async def run(
     defects: Sequence[Defect],
     workers: int,
+    isolation: str,
     *,
     begun: Callable[[Defect], None],
     done: Callable[[Outcome], None],
@@ -36,6 +37,7 @@ async def run(
     Args:
         defects: what is judged.
         workers: number of processes.
+        isolation: the walls around the adapters, one of :data:`~pytest_otmcp.core.walls.MODES`.
         begun: is told of a defect when its adapter is about to be started.
         done: is told what was seen.
 
@@ -45,7 +47,7 @@ async def run(
     """
     waiting = deque(defects)
     loop = asyncio.get_running_loop()
-    working = asyncio.gather(*(_work(waiting, begun, done) for _ in range(min(workers, len(defects)))))
+    working = asyncio.gather(*(_work(waiting, isolation, begun, done) for _ in range(min(workers, len(defects)))))
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     for number in numbers:
         loop.add_signal_handler(number, working.cancel)
@@ -58,13 +60,16 @@ async def run(
             loop.remove_signal_handler(number)
 
 
-async def _work(waiting: deque[Defect], begun: Callable[[Defect], None], done: Callable[[Outcome], None]) -> None:
+async def _work(
+    waiting: deque[Defect], isolation: str, begun: Callable[[Defect], None], done: Callable[[Outcome], None]
+) -> None:
     # The worker has a session of its own: Ctrl-C in a terminal must reach it once, by the end of its input.
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         "-P",
         "-m",
         _WORKER,
+        isolation,
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         limit=_LONGEST_LINE,

@@ -1,4 +1,4 @@
-"""``python -m …soundness.worker``: judge defects one after another, over one plant.
+"""``python -m …soundness.worker ISOLATION``: judge defects one after another, over one plant, behind the walls that were asked for.
 
 Each line of standard input is a defect as it is listed, each line of standard output what was seen. When standard input ends,
 what is under way is broken off, and devices and adapters are ended: so nothing is left, however the process ends that asked.
@@ -14,13 +14,12 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import suppress
 from typing import Any
 
 from ..core.errors import ExhaustedError, KitError
 from ..plant.devices import Plant
+from ..session.isolation import Isolation
 from ..session.loop import LoopThread
-from ..session.walls import RefusedError, enter_network, enter_user
 from .defect import defect
 from .judging import judge
 from .warm_start import WarmStart
@@ -34,10 +33,6 @@ def main() -> None:
     """Judge until standard input ends."""
     # A shell may have it ignored, and this process inherits that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    with suppress(RefusedError):
-        # The adapters are the kit's own, and start by the thousand: they share the walls of this process, which are those of the network.
-        enter_user()
-        enter_network()
     # What else is printed must not be taken for an answer.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
@@ -46,14 +41,15 @@ def main() -> None:
         with tempfile.TemporaryDirectory(prefix="otmcp-") as directory:
             # What an adapter writes into the folder in which it works must not be seen by the items of another worker.
             os.chdir(directory)
-            _serve(jobs, answers)
+            _serve(jobs, answers, sys.argv[1])
     except (KeyboardInterrupt, BrokenPipeError):
         # Nobody waits for the answer any more.
         sys.exit(1)
 
 
-def _serve(jobs: _Jobs, answers: Any) -> None:
-    loop, plant, warm = LoopThread(), Plant(), WarmStart()
+def _serve(jobs: _Jobs, answers: Any, mode: str) -> None:
+    loop, isolation, warm = LoopThread(), Isolation(mode), WarmStart()
+    plant = Plant(isolation=isolation)
     try:
         while (job := jobs.next()) is not None:
             answer = _answer(loop, plant, warm, job)
@@ -61,6 +57,7 @@ def _serve(jobs: _Jobs, answers: Any) -> None:
             print(json.dumps(answer), file=answers, flush=True)
     finally:
         loop.run(plant.close())
+        isolation.close()
         loop.close()
         warm.close()
 

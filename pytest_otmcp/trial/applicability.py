@@ -15,10 +15,13 @@ from ..subject.model import Adapter
 from .rig import adapter_name
 from .task import Task
 
-__all__ = ["NO_ADAPTER", "applicability", "participants", "why_not_in_field"]
+__all__ = ["NOT_CLAIMED", "NO_ADAPTER", "applicability", "participants", "why_not_in_field"]
 
 NO_ADAPTER = "the subject has no adapter for "
 """Beginning of the reason for which most items of a subject with one protocol do not apply."""
+
+NOT_CLAIMED = " is not claimed: "
+"""What stands in a reason between a facet and why it is not claimed."""
 
 
 _NEVER = {
@@ -67,7 +70,7 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
     needs = claims.required(task.needs)
     for facet in needs:
         if (reason := claims.why_not(facet)) is not None:
-            return Status.NOT_APPLICABLE, f"{facet} is not claimed: {reason}"
+            return Status.NOT_APPLICABLE, f"{facet}{NOT_CLAIMED}{reason}"
     for facet in needs:
         protocol, _, name = facet.partition(".")
         if (gap := adapters[protocol].why_not_testable(name)) is not None:

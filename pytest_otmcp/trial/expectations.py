@@ -105,10 +105,11 @@ def failed(
     """
     if reply.success is not False:
         claim = "it claims success" if reply.success else f"got {_outcome(reply)}"
+        refusal = "an error envelope" if reply.native else "a failure"
         return [
             Finding(
                 code="not_refused",
-                message=f"{reply.label}: expected an error envelope with code {' or '.join(codes)}, {claim}",
+                message=f"{reply.label}: expected {refusal} with code {' or '.join(codes)}, {claim}",
                 requirement=requirement,
                 evidence=_shown(reply.envelope),
             )

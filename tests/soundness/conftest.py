@@ -15,6 +15,7 @@ import pytest
 from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.replay.rejudge import rejudge
+from pytest_otmcp.session.isolation import Isolation
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.soundness import judging
 from pytest_otmcp.soundness.among_genuine import AmongGenuine, with_command
@@ -72,10 +73,12 @@ def loop() -> Iterator[LoopThread]:
 
 
 @pytest.fixture(scope="session")
-def plant(loop: LoopThread) -> Iterator[Plant]:
-    shared = Plant()
+def plant(loop: LoopThread, pytestconfig: pytest.Config) -> Iterator[Plant]:
+    isolation = Isolation(pytestconfig.getoption("--isolation"))
+    shared = Plant(isolation=isolation)
     yield shared
     loop.run(shared.close())
+    isolation.close()
 
 
 Results = dict[str, dict[str, Any]]

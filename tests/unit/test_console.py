@@ -146,7 +146,7 @@ def test_what_does_not_apply_is_one_sentence_however_much_it_is() -> None:
     unclaimed = item("M1", "normal", "Modbus", "Ping.", [])
     unclaimed |= {"status": "NOT_APPLICABLE", "planned": 30, "reason": "modbus.ping is not claimed: no tool for it"}
     shown = text(run([unclaimed, *map(without_adapter, ("Q1", "Q2", "O1"))]))
-    assert "1 does not apply: M1: modbus.ping is not claimed: no tool for it" in shown
+    assert "1 does not apply: modbus.ping (1): no tool for it" in shown
     assert "NOT_APPLICABLE" not in text(run([unclaimed, *map(without_adapter, ("Q1", "Q2", "O1"))]), verbosity=1)
     assert "apply" not in text(run([without_adapter("Q1")]))
 
