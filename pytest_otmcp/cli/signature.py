@@ -9,13 +9,17 @@ from __future__ import annotations
 import subprocess
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from ..core.errors import UsageError
 from ..core.files import read
+from ..core.strict_json import parse_strict
 from . import Refusal
 
-__all__ = ["NAMESPACE", "check_key", "sign", "signer"]
+__all__ = ["NAMESPACE", "Signer", "check_key", "sign", "signer"]
 
 NAMESPACE = "otmcp-certificate"
 """What a signature is for: a key's signature over a git commit is none over a certificate."""
@@ -58,8 +62,24 @@ def sign(path: Path, key: Path) -> Path:
     return signature
 
 
-def signer(content: bytes, signature: bytes, trust: Path, revoked: Path | None = None) -> str:
-    """Return who has signed, as the file of trusted signers names them.
+@dataclass(frozen=True, slots=True)
+class Signer:
+    """Who has signed a certificate.
+
+    Attributes:
+        name: as the file of trusted signers has it.
+        as_of: when the certificate says that it was measured, where its key is trusted as of then and not as of today; else None.
+    """
+
+    name: str
+    as_of: datetime | None = None
+
+
+def signer(content: bytes, signature: bytes, trust: Path, revoked: Path | None = None) -> Signer:
+    """Return who has signed.
+
+    A key that has expired takes none of its certificates along: as git does with a commit, the key is judged as of the time that stands
+    in what was signed, if it is not valid today. Who has stolen such a key can back-date: ``revoked`` is judged as of today.
 
     Args:
         content: that was signed.
@@ -69,7 +89,7 @@ def signer(content: bytes, signature: bytes, trust: Path, revoked: Path | None =
 
     Raises:
         UsageError: there is no OpenSSH here, or no such file.
-        Refusal: the signature is of another content, or of nobody who is trusted.
+        Refusal: the signature is of another content, or of nobody who is trusted today or was at that time.
     """
     if not trust.is_file():
         raise UsageError(f"--trust: {trust}: there is no such file")
@@ -78,26 +98,50 @@ def signer(content: bytes, signature: bytes, trust: Path, revoked: Path | None =
     with tempfile.TemporaryDirectory(prefix="otmcp-") as directory:
         file = Path(directory, "signature")
         file.write_bytes(signature)
-        refusal = None
-        for signers in _one_by_one(trust, Path(directory)):
-            found = _ssh_keygen("-Y", "find-principals", "-s", str(file), "-f", str(signers))
-            # One line of the file may name several principals: each comes on a line of its own, patterns that are excluded among them.
-            lines = found.stdout.decode("utf-8", "replace").split("\n")
-            names = [line for line in lines if line and not line.startswith("!")]
-            if found.returncode != 0 or not names:
-                refusal = (
-                    refusal or f"the signature of the certificate is of nobody whom {trust} trusts: {_words(found)}"
+        lines = list(_one_by_one(trust, Path(directory)))
+        refusal = ""
+        for as_of in _times(content):
+            for signers in lines:
+                name, why_not = _who(file, signers, as_of, content, revoked)
+                if not why_not:
+                    return Signer(name, as_of)
+                refusal = refusal or (
+                    f"the signature of {name} does not hold for this certificate: {why_not}"
+                    if name
+                    else f"the signature of the certificate is of nobody whom {trust} trusts: {why_not}"
                 )
-                continue
-            name = ",".join(names)
-            asked = ["-Y", "verify", "-f", str(signers), "-I", names[0], "-n", NAMESPACE, "-s", str(file)]
-            if revoked is not None:
-                asked += ["-r", str(revoked)]
-            done = _ssh_keygen(*asked, given=content)
-            if done.returncode == 0:
-                return name
-            refusal = refusal or f"the signature of {name} does not hold for this certificate: {_words(done)}"
     raise Refusal(f"refused: {refusal}")
+
+
+def _who(
+    signature: Path, signers: Path, as_of: datetime | None, content: bytes, revoked: Path | None
+) -> tuple[str, str]:
+    """Return whose key has signed, or nothing, and why the signature does not hold, or nothing.
+
+    Args:
+        as_of: the time as of which the key is to be valid; None is today.
+    """
+    # Without a zone it is local time, as the times of the file are; before OpenSSH 9.1 there is no other.
+    when = [] if as_of is None else [f"-Overify-time={as_of.astimezone():%Y%m%d%H%M%S}"]
+    found = _ssh_keygen("-Y", "find-principals", *when, "-s", str(signature), "-f", str(signers))
+    # One line of the file may name several principals: each comes on a line of its own, patterns that are excluded among them.
+    names = [line for line in found.stdout.decode("utf-8", "replace").split("\n") if line and not line.startswith("!")]
+    if found.returncode != 0 or not names:
+        return "", _words(found)
+    asked = ["-Y", "verify", *when, "-f", str(signers), "-I", names[0], "-n", NAMESPACE, "-s", str(signature)]
+    if revoked is not None:
+        asked += ["-r", str(revoked)]
+    done = _ssh_keygen(*asked, given=content)
+    return ",".join(names), "" if done.returncode == 0 else _words(done)
+
+
+def _times(content: bytes) -> Iterator[datetime | None]:
+    """Yield today, and then the time at which a certificate says that its run began, if that is not in the future."""
+    yield None
+    with suppress(ValueError, KeyError, TypeError):
+        stated = datetime.fromisoformat(parse_strict(content)["predicate"]["otmcp"]["measured_at"])
+        if stated < datetime.now(UTC):
+            yield stated
 
 
 def _one_by_one(trust: Path, directory: Path) -> Iterator[Path]:
@@ -120,7 +164,11 @@ def _ssh_keygen(
     try:
         # Without input, a question about a file that is there already is answered with the end of it.
         return subprocess.run(
-            [_PROGRAM, *arguments], input=given or b"", capture_output=True, timeout=patience_s, check=False
+            [_PROGRAM, *arguments],
+            input=given or b"",
+            capture_output=True,
+            timeout=patience_s,
+            check=False,
         )
     except FileNotFoundError:
         raise UsageError(f"signatures need {_PROGRAM} of OpenSSH 8.2 or later, which is not on PATH") from None

@@ -10,12 +10,15 @@ from __future__ import annotations
 import argparse
 import base64
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import UsageError
 from ..core.text import harmless
 from . import Refusal, add_json, show, show_json
 from .confined import CEILING_S
+
+if TYPE_CHECKING:
+    from .signature import Signer
 
 __all__ = ["add_parser", "examination", "run"]
 
@@ -100,7 +103,9 @@ def _verified(args: argparse.Namespace) -> int:
     if certificate is not None:
         found["said"].append(_about_signature(args.certificate, signed_by, args.trust))
     if args.json:
-        show_json({**found["run"], "signed_by": signed_by, "said": found["said"]})
+        by, as_of = (None, None) if signed_by is None else (signed_by.name, signed_by.as_of)
+        told = {"signed_by": by, "key_valid_as_of": None if as_of is None else as_of.isoformat()}
+        show_json({**found["run"], **told, "said": found["said"]})
     else:
         for sentence in found["said"]:
             show(harmless(sentence))
@@ -115,11 +120,12 @@ def examination(record: Path, certificate: tuple[Path, bytes] | None) -> dict[st
     return {"record": str(record), "challenge": None, "subject": None, "certificate": told}
 
 
-def _about_signature(certificate: Path, signed_by: str | None, trust: Path | None) -> str:
+def _about_signature(certificate: Path, signed_by: Signer | None, trust: Path | None) -> str:
     if signed_by is not None:
-        return (
-            f"the certificate is signed by {signed_by}, whom {trust} trusts; which adapter it was is the signer's word"
-        )
+        trusts = "trusts"
+        if signed_by.as_of is not None:
+            trusts = f"trusted at {signed_by.as_of:%Y-%m-%d %H:%M} UTC, when the certificate says that it was measured, and trusts no more"
+        return f"the certificate is signed by {signed_by.name}, whom {trust} {trusts}; which adapter it was is the signer's word"
     if _beside(certificate).is_file():
         return f"{_beside(certificate)} was not checked: --trust FILE says whose signature you trust"
     return "the certificate is not signed: who ran the kit, and at which adapter, it cannot prove"

@@ -6,7 +6,9 @@ import copy
 import hashlib
 import json
 import re
+import shutil
 from collections.abc import Callable, Iterator
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,12 +21,14 @@ from pytest_otmcp.certificate.eligibility import objections
 from pytest_otmcp.certificate.statement import awarded, certificate, differences
 from pytest_otmcp.cli import Refusal, main
 from pytest_otmcp.cli.examination import answer
+from pytest_otmcp.cli.signature import sign
 from pytest_otmcp.core.matrix import SUITES
 from pytest_otmcp.record.schema import AdapterFacts
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.suite.requirements import catalogue
 
 from ..examined import verify
+from ..keys import WHO, new_key, trusted
 from ..stored_runs import store, store_as_it_is
 from .certified import NO_PING, adapter, conformant_run
 from .samples import finding
@@ -458,6 +462,23 @@ def test_a_program_gets_what_was_verified_as_json(
     files[1].write_text("{}")
     assert main(["verify", "--json", *map(str, files)]) == 1
     assert json.loads(capsys.readouterr().out)["refused"].startswith("refused: ")
+
+
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed")
+def test_of_a_key_that_has_expired_is_said_as_of_when_it_was_valid(
+    files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pytest_otmcp.cli.confined.confined", lambda work, asked, bounds, what: answer(asked))
+    measured = json.loads(files[0].read_text())["predicate"]["otmcp"]["measured_at"]
+    day = datetime.fromisoformat(measured) + timedelta(days=2)
+    key = new_key(tmp_path / "key")
+    sign(files[0], key)
+    trust = trusted(key, tmp_path / "trust")
+    trust.write_text(trust.read_text().replace("namespaces=", f'valid-before="{day:%Y%m%d}",namespaces='))
+    assert main(["verify", "--json", "--trust", str(trust), *map(str, files)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["signed_by"], told["key_valid_as_of"]) == (WHO, measured)
+    assert "when the certificate says that it was measured, and trusts no more" in told["said"][-1]
 
 
 @pytest.mark.long

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
+from datetime import datetime
 from pathlib import Path
 
 import pytest
 
 from pytest_otmcp.cli import Refusal, main
-from pytest_otmcp.cli.signature import NAMESPACE, sign, signer
+from pytest_otmcp.cli.signature import NAMESPACE, Signer, sign, signer
 from tests.keys import WHO, new_key, trusted
 
 pytestmark = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed")
@@ -46,7 +48,7 @@ def refused(told: Told, *options: object) -> str:
 def test_a_signature_names_its_signer(certificate: Path, key: Path, trust: Path) -> None:
     signature = sign(certificate, key)
     assert signature.name == "certificate.json.sig"
-    assert signer(certificate.read_bytes(), signature.read_bytes(), trust) == WHO
+    assert signer(certificate.read_bytes(), signature.read_bytes(), trust) == Signer(WHO)
 
 
 def test_a_key_that_is_trusted_for_something_else_too_names_its_signer(
@@ -59,9 +61,40 @@ def test_a_key_that_is_trusted_for_something_else_too_names_its_signer(
     with pytest.raises(Refusal, match="refused: the signature of somebody does not hold for this certificate"):
         signer(content, signature, others)
     trust.write_text(others.read_text() + trust.read_text())
-    assert signer(content, signature, trust) == WHO
+    assert signer(content, signature, trust) == Signer(WHO)
     with pytest.raises(Refusal, match="does not hold for this certificate"):
         signer(content + b" ", signature, trust)
+
+
+@pytest.mark.parametrize(
+    ("measured", "holds"),
+    [
+        ("2024-06-01T12:00:00+00:00", True),
+        ("2025-01-02T12:00:00+00:00", False),
+        ("2023-01-01T00:00:00+00:00", False),
+        ("2999-01-01T00:00:00+00:00", False),
+        ("2024-06-01T12:00:00", False),
+        ("in June", False),
+        (5, False),
+    ],
+)
+def test_a_key_that_has_expired_is_judged_as_of_the_measurement_that_it_signed(
+    certificate: Path, key: Path, trust: Path, tmp_path: Path, measured: object, holds: bool
+) -> None:
+    certificate.write_text(json.dumps({"predicate": {"otmcp": {"measured_at": measured}}}))
+    content, signature = certificate.read_bytes(), sign(certificate, key).read_bytes()
+    public = key.with_suffix(".pub").read_text()
+    trust.write_text(f'{WHO} valid-after="20240101",valid-before="20250101",namespaces="{NAMESPACE}" {public}')
+    if not holds:
+        with pytest.raises(Refusal, match="refused: the signature of"):
+            signer(content, signature, trust)
+        return
+    found = signer(content, signature, trust)
+    assert (found.name, found.as_of) == (WHO, datetime.fromisoformat(str(measured)))
+    revoked = tmp_path / "revoked"
+    revoked.write_text(public)
+    with pytest.raises(Refusal, match="key has expired"):
+        signer(content, signature, trust, revoked)
 
 
 @pytest.mark.parametrize("as_list", [True, False])
@@ -77,7 +110,7 @@ def test_a_revoked_key_is_trusted_no_more(
         else:
             revoked.write_bytes(public.read_bytes())
         if holds:
-            assert signer(content, signature, trust, revoked) == WHO
+            assert signer(content, signature, trust, revoked) == Signer(WHO)
         else:
             with pytest.raises(Refusal, match="does not hold for this certificate"):
                 signer(content, signature, trust, revoked)
@@ -91,7 +124,7 @@ def test_the_principals_of_a_line_are_told_whole_and_without_those_that_are_excl
     certificate: Path, key: Path, trust: Path, principals: str, told: str
 ) -> None:
     trust.write_text(f'{principals} namespaces="{NAMESPACE}" {key.with_suffix(".pub").read_text()}')
-    assert signer(certificate.read_bytes(), sign(certificate, key).read_bytes(), trust) == told
+    assert signer(certificate.read_bytes(), sign(certificate, key).read_bytes(), trust) == Signer(told)
 
 
 def test_anybody_can_check_it_with_ssh_keygen_alone(certificate: Path, key: Path, trust: Path) -> None:
