@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["add_parser", "run"]
 
 _REDRAW_S = 0.5
-_INDENT = 9
+_INDENT = 11
 
 
 def add_parser(subparsers: Any) -> None:

@@ -53,6 +53,7 @@ def attacked(repository: Repository, kind: str, *options: str, tmpdir: str | Non
     return outcome
 
 
+@pytest.mark.long
 def test_kit_keeper_and_devices_keep_their_memory_and_environment_to_themselves(empty_repository: Repository) -> None:
     attacked(empty_repository, "looks-around")
     seen = json.loads((empty_repository.root / "seen.json").read_text(encoding="utf-8"))

@@ -226,6 +226,7 @@ def test_a_mock_serves_until_its_input_closes_whatever_lies_in_the_directory(tmp
 # -- report -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_reports_are_made_again_without_measuring(tmp_path: Path) -> None:
     done = otmcp("report", str(SAMPLE), "--out", "again", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -167,7 +167,16 @@ def deep_values(run: Record) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [many_images, many_restarts, a_long_slice, many_repetitions, a_long_text, a_deep_path, deep_values]
+    "change",
+    [
+        pytest.param(many_images, marks=pytest.mark.long),
+        many_restarts,
+        a_long_slice,
+        many_repetitions,
+        a_long_text,
+        a_deep_path,
+        deep_values,
+    ],
 )
 def test_a_large_number_or_text_costs_nothing(run: Record, tmp_path: Path, change: Callable[[Record], None]) -> None:
     change(run)

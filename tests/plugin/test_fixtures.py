@@ -146,6 +146,7 @@ def test_every_test_finds_the_devices_as_they_are_at_their_start(repository: Rep
     assert "7 passed" in outcome.output, outcome.output
 
 
+@pytest.mark.long
 def test_misuse_is_one_sentence_at_the_line_of_the_test(repository: Repository) -> None:
     outcome = run(repository, MISUSE)
     assert "10 failed" in outcome.output, outcome.output

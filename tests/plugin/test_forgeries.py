@@ -82,6 +82,7 @@ def test_another_subject_file_is_refused(genuine: Record, path: Path, tmp_path: 
         examine(store(tmp_path / "run.json", genuine), subject=changed)
 
 
+@pytest.mark.long
 def test_a_run_for_a_challenge_is_none_for_another_one(empty_repository: Repository, tmp_path: Path) -> None:
     asked, other = "buyer-2026-11-26-7f3a9c", "buyer-2025-01-01-000000"
     empty_repository.subject()

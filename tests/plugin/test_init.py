@@ -124,6 +124,7 @@ def proposed(otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart) -> Proposed:
     return run
 
 
+@pytest.mark.long
 def test_a_prose_adapter_is_described_by_what_the_device_saw(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
 ) -> None:
@@ -431,6 +432,7 @@ def test_a_host_without_a_status_has_its_metrics_found_in_a_list(
     assert metrics.outputs["metrics"].path == "@"
 
 
+@pytest.mark.long
 def test_an_old_server_is_described_beside_another_adapter(otmcp: Otmcp, tmp_path: Path) -> None:
     (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
     there = '[subject]\nname = "x"\nversion = "7"\n\n[adapter.mqtt]\ncommand = ["adapter"]\n'
@@ -542,6 +544,7 @@ def test_the_protocol_is_that_of_the_library_that_the_adapter_imports(imports: s
     assert recognised.startswith(said)
 
 
+@pytest.mark.long
 def test_an_adapter_that_does_not_start_is_no_proposal(otmcp: Otmcp, tmp_path: Path) -> None:
     done = otmcp("init", "--protocol", "modbus", "--", sys.executable, "-c", "import mcp.server.fastmcp")
     assert done.returncode == 1
@@ -562,6 +565,7 @@ def test_the_doctor_writes_the_files_that_a_command_needs(otmcp: Otmcp, tmp_path
     assert "old 1.9.4, MCP 2024-11-05, 1 tool" in done.stdout
 
 
+@pytest.mark.long
 def test_the_doctor_names_cause_and_remedy(otmcp: Otmcp) -> None:
     done = otmcp("doctor", "--protocol", "modbus", "--", sys.executable, "-c", "import mcp.server.fastmcp")
     assert done.returncode == 1
@@ -569,6 +573,7 @@ def test_the_doctor_names_cause_and_remedy(otmcp: Otmcp) -> None:
     assert "Install it into an environment of its own with 'mcp<2'." in done.stdout
 
 
+@pytest.mark.long
 def test_the_doctor_says_with_what_a_read_failed_that_reached_the_device(otmcp: Otmcp, tmp_path: Path) -> None:
     error = '{"code": -32602, "message": "Invalid tools/call result"}'
     refusing = f'**({{"error": {error}}} if "content" in result else {{"result": result}})'

@@ -252,6 +252,7 @@ def test_a_bug_that_an_adapter_reports_is_shown_with_its_last_words(
     assert rejudge(run) == []
 
 
+@pytest.mark.long
 def test_a_device_need_not_keep_what_the_record_has(warm_start: WarmStart) -> None:
     loop, plant = LoopThread(), Plant()
 

@@ -26,6 +26,7 @@ def test_one_row_runs_on_every_protocol_and_is_judged_again(
     assert "judging them again found the same" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_one_check_runs_alone(empty_repository: Repository) -> None:
     empty_repository.reference_subject()
     assert empty_repository.pytest(*SUITE, "--otmcp-only=MCP-004.modbus").statuses == {"MCP-004.modbus": "PASS"}

@@ -56,6 +56,7 @@ def wrong_value(tmp_path_factory: pytest.TempPathFactory, warm_start: WarmStart)
     return repository.pytest(*SUITE, "-k", "normal and (M1 or M2 or Q1)", "--otmcp-reps=2")
 
 
+@pytest.mark.long
 def test_a_narrowed_run_is_recorded_and_called_incomplete(repository: Repository) -> None:
     repository.reference_subject()
     options = ("-k", "normal and M2 or FM1", "--otmcp-reps=4", "--junit-xml=junit.xml")
@@ -276,8 +277,9 @@ def told(process: psutil.Process) -> dict[str, str]:
         return {}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("ending", ["SIGTERM", pytest.param("SIGINT", marks=pytest.mark.long)])
+@pytest.mark.parametrize("ending", ["SIGTERM", "SIGINT"])
 def test_an_http_adapter_with_writes_enabled_does_not_outlive_a_run_that_is_ended(
     repository: Repository, waiting: socket.socket, ending: str
 ) -> None:

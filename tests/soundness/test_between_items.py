@@ -134,6 +134,7 @@ def test_a_connection_that_an_item_has_left_dead_is_no_part_of_the_next(loop: Lo
     assert following["status"] == "PASS", words({"Q2": following})
 
 
+@pytest.mark.long
 def test_a_record_bears_out_that_a_session_began_anew_for_its_dead_connection(loop: LoopThread, plant: Plant) -> None:
     bench, tasks = Bench(reference_subject(), BenchOptions(), plant), tasks_by_id(suites=SUITES)
 

@@ -35,13 +35,8 @@ ALONE = {"hang": "M1 M2 M3 M4 FM2 S1 S4 S7 S10 R-modbus"}
 adapter's own time-out, for which it waits there, is longer than the shortened deadline."""
 
 
-QUICK = ("none",)
-"""It is run in every test run; the others are run with the long tests."""
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.long) for name in DEFECTS]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", DEFECTS)
 def test_a_defect_fails_exactly_its_tasks_for_its_requirements(judge: Judge, name: str) -> None:
     tasks, rules, reason = EXPECTED[name]
     protocol, _ = DEFECTS[name]

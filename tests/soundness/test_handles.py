@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from .conftest import Judge, failing, passing, requirements, words
 
 
+@pytest.mark.long
 def test_an_adapter_that_is_told_its_handles_passes(judge_foreign: Judge) -> None:
     results = judge_foreign("mqtt-session", tasks="CON-001.mqtt MQT-002.mqtt MQT-004.mqtt REC-001.mqtt")
     assert passing(results) == results.keys(), words(results)

@@ -297,6 +297,7 @@ def test_values_that_are_all_alike_show_nothing(device: tuple[StandIn, str], loo
         launched(loop, "tcp://127.0.0.1:1", None)
 
 
+@pytest.mark.long
 def test_an_old_value_that_does_not_come_back_is_told(
     device: tuple[StandIn, str], judge: Judge, loop: LoopThread
 ) -> None:

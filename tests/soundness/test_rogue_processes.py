@@ -65,6 +65,7 @@ def test_an_adapter_that_hangs_in_its_handshake_is_waited_for_once(judge: Judge)
     assert "did not finish its handshake within" in words(results)
 
 
+@pytest.mark.long
 def test_an_adapter_that_stops_at_todays_handshake_gets_the_older_one(judge: Judge) -> None:
     results = judge("modbus", command=rogue("stops-at-discover"), tasks="M1", time_scale=0.15)
     assert "M1: the device should have answered at least 1 request(s) during the call(s), it saw none" in words(results)
