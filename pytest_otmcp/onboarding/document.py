@@ -231,6 +231,12 @@ def _unclaimed(draft: Draft) -> list[str]:
             lines += [f"# No tool is called like one for it: {asked.meaning}.", f"{operation} = {_value(_NO_TOOL)}"]
         elif (said := _said_without_device(draft, operation)) is not None:
             lines += [f"# {asked.meaning}: {said}.", f"{operation} = {_value(_FROM_MEMORY)}"]
+        elif not asked.voluntary and (other := _proven_otherwise(draft, operation)) is not None:
+            tool = draft.proposals[operation].guess.tool
+            lines += [
+                f"# {asked.meaning}: {tool!r} is the likeliest tool, and it is {other}.",
+                f"{operation} = {_value(_NO_TOOL)}",
+            ]
     return ["", f"[adapter.{draft.protocol}.unclaimed]", *lines]
 
 
@@ -241,6 +247,15 @@ def _said_without_device(draft: Draft, operation: str) -> str | None:
         return None
     tool = proposal.guess.tool
     return f"{tool}: {proposal.evidence[0]}" if protocols()[draft.protocol].operations[operation].status else None
+
+
+def _proven_otherwise(draft: Draft, operation: str) -> str | None:
+    """Return the operation that the tool of an unproven proposal was proven to perform; None where there is none."""
+    proposal = draft.proposals.get(operation)
+    if proposal is None or proposal.proven:
+        return None
+    proven = {one.guess.tool: name for name, one in draft.proposals.items() if one.proven}
+    return proven.get(proposal.guess.tool)
 
 
 def _form(proposals: Iterable[Proposal]) -> str:
@@ -356,6 +371,11 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     elif proposal.proven:
         draft.left.append(f"{operation}: where {' and '.join(lacking)} is in the answer of {guess.tool!r}")
         body.append(f'# result = {{ {lacking[0]} = "JMESPath" }}')
+    elif (other := _proven_otherwise(draft, operation)) is not None:
+        draft.left.append(
+            f"{operation} ({asked.meaning}): {guess.tool!r} is {other}, so it is declared as unclaimed; bind a tool if there is one"
+        )
+        comments.append("# It is unclaimed above; take the comment signs away when there is such a tool.")
     else:
         draft.left.append(
             f"{operation} ({asked.meaning}): {guess.tool!r} was the likeliest tool, but the device saw no proof"

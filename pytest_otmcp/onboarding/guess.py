@@ -24,6 +24,7 @@ class Guess:
         missing: required arguments for which no value is known.
         trials: further arguments, each with values to try.
         optional: arguments that the tool does not require, with values for the case that it does not work without them.
+        orders: other ways to give the inputs to the arguments, each a whole template: what names mean, the device decides.
     """
 
     operation: str
@@ -34,13 +35,20 @@ class Guess:
     missing: tuple[str, ...]
     trials: Mapping[str, tuple[str, ...]]
     optional: Mapping[str, object] = field(default_factory=dict)
+    orders: tuple[Mapping[str, object], ...] = ()
 
     def variations(self) -> list[Guess]:
         """Return one guess for each combination of the values to try; only this guess when there are none to try.
 
         Arguments that the tool does not require come last, because what is not asked for need not be invented; among them
-        those for the device's address, which may be the name of an entry of a configuration file as well.
+        those for the device's address, which may be the name of an entry of a configuration file as well. Other orders of the inputs come
+        after all that the names of the arguments say.
         """
+        ways = [replace(self, arguments=way, missing=(), optional={}, orders=()) for way in self.orders]
+        named = [] if self.missing and ways else self._as_named()
+        return [*named, *(one for way in ways for one in way._as_named())]
+
+    def _as_named(self) -> list[Guess]:
         addressless = {name: value for name, value in self.optional.items() if not mentions_address(value)}
         added = [{}, *(more for more in (addressless, self.optional) if more)]
         names = list(self.trials)
@@ -51,6 +59,7 @@ class Guess:
                 arguments={**self.arguments, **more, **dict(zip(names, values, strict=True))},
                 trials={},
                 optional={},
+                orders=(),
             )
             for number, more in enumerate(added)
             if more not in added[:number]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence, Set
+from itertools import permutations
 from typing import Any
 
+from ..protocols.protocol import Operation
 from ..protocols.registry import protocols
 from ..subject.addressing import mentions_address
 from ..subject.model import placeholders
@@ -33,6 +35,9 @@ _ENDPOINT: tuple[tuple[str, str], ...] = (
 )
 _PROTOCOL = r"^(protocol|proto)$"
 _CONNECTION = r"^(conn|connection|connection_string|device|target|resource|endpoint|server)$"
+_MOST_UNNAMED = 3
+"""Arguments that are tried in each order; more of them are too many calls."""
+
 _CONNECTIONS = ("tcp:{host}:{port}", "{host}:{port}", "tcp://{host}:{port}", "{url}")
 """Forms in which a required argument whose name matches ``_CONNECTION`` may expect the device's address."""
 
@@ -298,6 +303,8 @@ def _guess(
         if argument not in arguments and (values := _trials(pack, hints, argument))
     }
     missing = tuple(name for name in required(schema) if name not in arguments and name not in trials)
+    can_show = missing and hints.experiment is not None
+    orders = _orders(asked, arguments, schema, {*trials}) if can_show and not convert else ()
     if asked.voluntary and (missing or trials or not set(asked.inputs) <= placed):
         # What nobody has to have is only proposed where nothing is open.
         return None
@@ -307,8 +314,13 @@ def _guess(
         score -= 3.0 * len(words & set(hints.unlikely.split()))
     # Whether a call waits speaks neither for a tool nor against it.
     telling = {*inputs} & {*asked.inputs} - {asked.waits}
-    score += 2.0 * len(placed & telling) - 2.0 * len(telling - placed - set(asked.optional))
-    score -= 2.0 * len(missing) + 0.5 * len(trials)
+    score += 2.0 * len(placed & telling) - 0.5 * len(trials)
+    lacking = len(telling - placed - set(asked.optional))
+    if orders:
+        # An argument whose name says nothing is tried for each of them.
+        score -= 2.0 * max(0, lacking - len(missing)) + 0.25 * len(missing)
+    else:
+        score -= 2.0 * (lacking + len(missing))
     if not inputs:
         score -= 1.0 * len(missing)
     if score <= 0:
@@ -322,7 +334,36 @@ def _guess(
         missing=missing,
         trials=trials,
         optional=optional,
+        orders=orders,
     )
+
+
+def _orders(
+    asked: Operation, arguments: Mapping[str, object], schema: Mapping[str, Any], tried: Set[str]
+) -> tuple[Mapping[str, object], ...]:
+    """Return the ways to give the inputs of an operation to those required arguments that take one value each, whatever they are called."""
+    known, needed = properties(schema), required(schema)
+    given = {f"${name}" for name in asked.inputs}
+    taking = [
+        key
+        for key in needed
+        if key not in tried
+        and (key not in arguments or (isinstance(told := arguments[key], str) and told in given))
+        and kinds(known[key]) & {"integer", "number", "string"}
+        and "enum" not in known[key]
+    ]
+    rest = {key: value for key, value in arguments.items() if key not in taking}
+    settled = placeholders({key: value for key, value in rest.items() if key in needed})
+    telling = [name for name in asked.inputs if name not in settled]
+    if not 1 <= len(taking) <= min(_MOST_UNNAMED, len(telling)):
+        return ()
+    ways: list[Mapping[str, object]] = []
+    for chosen in permutations(telling, len(taking)):
+        way: dict[str, object] = dict(zip(taking, (f"${name}" for name in chosen), strict=True))
+        # What the tool does not require is not told twice.
+        way |= {key: value for key, value in rest.items() if value not in way.values()}
+        ways.append(way)
+    return tuple(ways)
 
 
 def _trials(pack: Pack, hints: Hints, argument: str) -> tuple[str, ...]:

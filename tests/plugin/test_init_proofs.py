@@ -45,6 +45,34 @@ def mtconnect_ping() -> dict[str, bool]:
 server.run()
 """
 
+# The names of its arguments say nothing, and the likeliest one is misleading.
+WORDS = """
+import os
+from mcp.server import MCPServer
+from pymodbus.client import ModbusTcpClient
+
+server = MCPServer("words")
+
+
+def connected() -> ModbusTcpClient:
+    client = ModbusTcpClient(os.environ["PLC_HOST"], port=int(os.environ["PLC_PORT"]), retries=0)
+    client.connect()
+    return client
+
+
+@server.tool()
+def get_word(number: int, how_many: int) -> dict[str, list[int]]:
+    return {"words": connected().read_holding_registers(number, count=how_many, device_id=1).registers}
+
+
+@server.tool()
+def put_word(content: int, place: int) -> dict[str, bool]:
+    return {"done": not connected().write_register(place, content, device_id=1).isError()}
+
+
+server.run()
+"""
+
 # Its calls wait for messages, and one of them gives the last message only; the broker is an entry of its configuration.
 WAITING = """
 import os
@@ -466,6 +494,16 @@ def test_the_first_call_may_fail_and_of_a_likelier_tool_the_file_says_why_it_was
     assert re.search(rf"^  read_input +{tool} \(proven: ", told, re.MULTILINE), told
     reason = "# tried before: read_input_registers: the device saw nothing of it; it failed: "
     assert (reason in (tmp_path / "otmcp.toml").read_text(encoding="utf-8")) == (failing > 1)
+
+
+@pytest.mark.long
+def test_which_argument_is_which_the_device_decides(init: Init) -> None:
+    told, adapter = init("modbus", WORDS, PLC_HOST="{host}", PLC_PORT="{port}")
+    (read,), (write,) = adapter.operations["read_holding"], adapter.operations["write_holding"]
+    assert (read.tool, read.arguments) == ("get_word", {"number": "$address", "how_many": "$count"})
+    assert (write.tool, write.arguments) == ("put_word", {"content": "$value", "place": "$address"})
+    assert "'get_word' is read_holding, so it is declared as unclaimed" in told
+    assert adapter.unclaimed["read_input"] == "otmcp init found no tool for it"
 
 
 @pytest.mark.long

@@ -105,6 +105,19 @@ def test_an_endpoint_for_every_call_is_put_in() -> None:
     assert (guess.arguments["host"], guess.arguments["port"]) == ("{host}", "{port:int}")
 
 
+def test_arguments_whose_names_say_nothing_are_tried_in_each_order() -> None:
+    (read,) = guesses("modbus", "read_holding", {"get_word": tool("number how_many", "slave_id")})
+    told = [{name: one.arguments[name] for name in ("number", "how_many")} for one in read.variations()]
+    assert told == [
+        {"number": "$address", "how_many": "$count"},
+        {"number": "$count", "how_many": "$address"},
+    ]
+    (write,) = guesses("modbus", "write_holding", {"put_word": tool("content place")})
+    assert [{**one.arguments} for one in write.variations()][-1] == {"content": "$value", "place": "$address"}
+    # One argument cannot say what is written and where.
+    assert guesses("modbus", "write_holding", {"set_speed": tool("rpm")}) == []
+
+
 def test_what_an_argument_wants_to_be_told_is_tried() -> None:
     listing = tool("address count conn kind")
     (guess,) = guesses("modbus", "read_holding", {"modbus_read": listing})
