@@ -187,7 +187,7 @@ DEFECTS = (
         "A search for stations lists the configured devices, and asks nobody.",
         listed_not_asked,
         "N7",
-        "RD-001 RD-004",
+        "RD-004",
     ),
     defect(
         "MU-40pn",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import secrets
 from dataclasses import replace
 from typing import Any
 
@@ -121,7 +122,8 @@ def described_by_the_device(server: AdapterServer) -> None:
 
 def described_anew(server: AdapterServer) -> None:
     listing = server._tools["subscribe_topic"].listing
-    listing.description = f"{listing.description} (process {os.getpid()})"
+    # In a namespace of processes each has the same number.
+    listing.description = f"{listing.description} (start {secrets.token_hex(4)})"
 
 
 def described(tool: str, text: str) -> Change:

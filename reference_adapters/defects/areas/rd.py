@@ -168,6 +168,7 @@ DEFECTS: tuple[Defect, ...] = (
         "modbus",
         "Coils are read with the padding of their last byte.",
         whole_bytes_of_bits,
+        "RD-001 RD-002 RD-005 RD-006 RD-007",
         "RD-001 RD-002 RD-006 RD-007",
     ),
     defect(
@@ -175,6 +176,7 @@ DEFECTS: tuple[Defect, ...] = (
         "modbus",
         "The first bit of each byte is told as its last.",
         first_bit_told_last,
+        "RD-001 RD-005 RD-006 RD-007",
         "RD-001 RD-006 RD-007",
     ),
     defect("MU-43", "modbus", "Of 126 registers 125 are read.", capped_at_125, "RD-007", "ERR-001 ERR-002 RD-007"),
