@@ -53,7 +53,7 @@ def told() -> list[str]:
         )
     lines = done.stdout.splitlines()
     begin = next(index for index, line in enumerate(lines) if line == "normal suite")
-    end = next(index for index, line in enumerate(lines) if "short test summary" in line)
+    end = max(index for index, line in enumerate(lines) if " failed" in line and "===" in line)
     # A log has no moving line: it says once that devices and adapters start, and its verdict is one line.
     shown = [part for line in lines[begin:end] if "starting" not in line for part in folded(line)]
     return [line for index, line in enumerate(shown) if line or shown[index - 1]]
