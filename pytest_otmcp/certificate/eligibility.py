@@ -138,7 +138,9 @@ def _unprintable(run: Run) -> Iterator[str]:
     told: dict[str, object] = {"subject": subject, "settings": run["settings"], "environment": run["environment"]}
     for protocol, facts in run["subject"]["adapters"].items():
         shown = ("server_name", "server_version", "protocol_version", "recovery", "unclaimed", "unmet", "unjudged")
-        told[f"subject.adapters.{protocol}"] = {name: dict(facts)[name] for name in shown}
+        told[f"subject.adapters.{protocol}"] = {name: dict(facts)[name] for name in shown} | {
+            "tested": facts.get("tested")
+        }
     for place, text in _texts(told, ""):
         if any(category(letter) in _INVISIBLE for letter in text):
             yield f"{place} has a control character: {text[:80]!r}"

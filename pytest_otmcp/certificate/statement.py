@@ -13,14 +13,16 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Set
+from collections.abc import Container, Iterable, Iterator, Mapping, Set
+from typing import Any
 
 from ..core.matrix import SUITES
 from ..core.statistics import lower_bound, proportion_interval
 from ..core.verdict import Status
 from ..core.walls import missing, stood
+from ..protocols.external import external_devices
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts, Item, Run
+from ..record.schema import AdapterFacts, Environment, Item, Run, Settings, Tested
 from ..record.unread import unread_replies
 from ..record.warnings import warnings
 from ..subject.claims import Claims
@@ -104,13 +106,20 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
                 "counts": _counts(run),
                 "not_applicable": _not_applicable(run, tasks),
                 "deviations": [],
-                "settings": run["settings"],
-                "environment": run["environment"],
+                "settings": _known(
+                    run["settings"], {*Settings.__annotations__, *(one.option for one in external_devices().values())}
+                ),
+                "environment": _known(run["environment"], Environment.__annotations__),
                 "isolation": {"seen": stood(walls), "missing": missing(walls)},
                 "limits": list(_LIMITS),
             },
         },
     }
+
+
+def _known(table: Mapping[str, Any], members: Container[str]) -> dict[str, Any]:
+    """Return the members that a record has by its schema: a certificate repeats nothing that nobody has looked at."""
+    return {name: value for name, value in table.items() if name in members}
 
 
 def awarded(run: Run) -> dict[str, object]:
@@ -168,7 +177,7 @@ def _adapter(
     return {
         "server": {"name": facts["server_name"], "version": facts["server_version"]},
         "mcp": {"revision": revision, "era": "stateless" if revision >= _FIRST_STATELESS else "initialize"},
-        "tested": facts.get("tested"),
+        "tested": None if (tested := facts.get("tested")) is None else _known(tested, Tested.__annotations__),
         "deadline_s": facts["deadline_s"],
         "envelope": facts["envelope"],
         "envelope_requirements_unmet": facts["unmet"],

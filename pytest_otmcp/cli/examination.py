@@ -15,6 +15,7 @@ from typing import Any
 from .. import __version__
 from ..certificate.eligibility import objections
 from ..certificate.statement import PREDICATE_TYPE, STATEMENT_TYPE, certificate, differences
+from ..core.errors import UsageError
 from ..core.strict_json import parse_strict
 from ..core.verdict import Status, decide, exit_code, judge_deviations
 from ..protocols.registry import protocols
@@ -22,7 +23,7 @@ from ..record.condensed import condensed
 from ..record.consistency import clock_faults, header_faults, settings_faults
 from ..record.reader import RecordError, StoredRun, open_record
 from ..record.schema import Kit, Run
-from ..replay.rejudge import rejudge
+from ..replay.rejudge import depends_on_seed, rejudge
 from ..report.verdict_file import verdict
 from ..subject import comparison, load_subject
 from ..subject.model import Deviation
@@ -133,6 +134,10 @@ def _derived(
         read = load_subject(subject, run=False)
         _refuse(f"{path} is not about {subject}", list(comparison.differences(read, run["subject"])))
     _refuse(f"{path} was not judged as its history deserves", rejudge(stored))
+    if asked is not None and not depends_on_seed(stored):
+        raise Refusal(
+            f"refused: {path} names a challenge, but no value of the run follows from it: the run may be older"
+        )
     said = list(_said(run, why_none if certified is None else None))
     if subject is not None:
         said.append(f"the subject, its claims, deadlines and bindings are those of {subject}")
@@ -196,7 +201,11 @@ def _wrong_subject(run: Run, tasks: Mapping[str, Task]) -> Iterator[str]:
     ]
     statuses = {item["id"]: Status(item["status"]) for item in run["items"]}
     began = datetime.fromisoformat(run["environment"]["started_at"]).date()
-    follows = judge_deviations(known_deviations, statuses, tasks, began).as_record()
+    try:
+        follows = judge_deviations(known_deviations, statuses, tasks, began).as_record()
+    except UsageError as reason:
+        yield str(reason)
+        return
     if run["footer"].get("deviations", follows) != follows:
         yield f"from its items follow the deviations {follows}, the footer says {run['footer'].get('deviations')}"
 

@@ -18,6 +18,7 @@ from ..core.verdict import ExitCode, Status, decide, exit_code
 from ..record.condensed import condensed
 from ..record.reader import RecordError, open_record
 from ..record.schema import Run
+from ..replay.rejudge import depends_on_seed
 from ..report.certificate_page import certificate_page
 from ..report.html import page
 from ..suite.catalogue import tasks_by_id
@@ -45,6 +46,8 @@ def concluded(out: Path, ended: int) -> tuple[Run, dict[str, Any]]:
     try:
         with open_record(path) as stored:
             record, sha256 = condensed(stored), stored.sha256
+            asked = record["settings"].get("challenge")
+            follows = asked is None or depends_on_seed(stored)
     except RecordError as reason:
         raise Refusal(f"no certificate: {reason}") from None
     tasks = tasks_by_id(record["subject"]["adapters"], record["settings"]["suites"])
@@ -52,6 +55,10 @@ def concluded(out: Path, ended: int) -> tuple[Run, dict[str, Any]]:
         statuses = {item["id"]: Status(item["status"]) for item in record["items"]}
         code = exit_code(decide(statuses, tasks), statuses=statuses.values())
         raise Refusal(f"no certificate: {'; '.join(reasons)}", max(code, ExitCode.NOT_CONFORMANT))
+    if not follows:
+        raise Refusal(
+            "no certificate for a challenge: no item that applies draws a value, so nothing of the run follows from it"
+        )
     return record, certificate(record, sha256, tasks)
 
 

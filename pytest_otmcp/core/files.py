@@ -6,14 +6,17 @@ Whoever opens a FIFO waits for its other end, for ever if there is none; to open
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import stat
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["new_file", "no_link", "read", "regular"]
+__all__ = ["digest", "new_file", "no_link", "read", "regular"]
 
 _WITHOUT_WAITING = os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
+_LARGEST = 1 << 28
+"""Bytes of the largest file that is digested."""
 
 
 def regular(path: str | os.PathLike[str], flags: int) -> int:
@@ -38,6 +41,19 @@ def read(path: str | os.PathLike[str]) -> bytes:
     """
     with open(path, "rb", opener=regular) as file:
         return file.read()
+
+
+def digest(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a regular file, in hexadecimal digits, without its content in memory.
+
+    Raises:
+        OSError: that of :func:`regular`, or the file is larger than a program that somebody wrote.
+    """
+    with open(path, "rb", opener=regular) as file:
+        if os.fstat(file.fileno()).st_size > _LARGEST:
+            # A sparse file has any size, and costs whoever makes it nothing.
+            raise OSError(errno.EFBIG, "it is too large to be read", os.fspath(path))
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def new_file(path: Path) -> BinaryIO:

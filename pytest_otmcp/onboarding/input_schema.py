@@ -1,4 +1,7 @@
-"""The reading of a tool's input schema as far as a guess needs it: properties, types, choices. Pure."""
+"""The reading of a tool's input schema as far as a guess needs it: properties, types, choices. Pure.
+
+A schema comes from the adapter: what is not where it belongs counts as not there.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,10 @@ from typing import Any
 
 __all__ = ["choice", "kinds", "properties", "required", "resolved"]
 
+_DEEPEST = 10
+_MOST_PARTS = 20_000
+"""Parts of a schema with its references replaced: one that refers to itself in many places has no end."""
+
 
 def resolved(tool: Mapping[str, Any], chosen: re.Pattern[str] | None) -> Mapping[str, Any]:
     """Return the input schema of a tool without local references.
@@ -15,27 +22,24 @@ def resolved(tool: Mapping[str, Any], chosen: re.Pattern[str] | None) -> Mapping
     Args:
         chosen: of several alternatives (``oneOf``) that differ in the value of one argument, the one whose value matches.
     """
-    schema = tool.get("inputSchema") or {}
-    whole = _resolved({key: member for key, member in schema.items() if key != "$defs"}, schema.get("$defs") or {}, 0)
-    if not isinstance(whole, dict):
-        return {}
-    for alternative in whole.get("oneOf") or []:
-        if isinstance(alternative, dict) and any(
-            choice(value, chosen) is not None for value in (alternative.get("properties") or {}).values()
-        ):
+    schema = _table(tool.get("inputSchema"))
+    definitions = _table(schema.get("$defs"))
+    whole = _Resolution(definitions).of({key: member for key, member in schema.items() if key != "$defs"})
+    for alternative in map(_table, _list(_table(whole).get("oneOf"))):
+        if any(choice(value, chosen) is not None for value in properties(alternative).values()):
             return alternative
-    return whole
+    return _table(whole)
 
 
 def properties(schema: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the schema of every argument by name."""
-    found = schema.get("properties") or {}
-    return found if isinstance(found, dict) else {}
+    # `true` is a schema as well: anything fits it.
+    return {name: _table(value) for name, value in _table(schema.get("properties")).items()}
 
 
 def required(schema: Mapping[str, Any]) -> list[str]:
     """Return the names of the arguments that the tool requires."""
-    return [str(name) for name in schema.get("required") or []]
+    return [name for name in _list(schema.get("required")) if isinstance(name, str)]
 
 
 def kinds(schema: Mapping[str, Any]) -> set[str]:
@@ -44,33 +48,44 @@ def kinds(schema: Mapping[str, Any]) -> set[str]:
     if isinstance(kind, str):
         return {kind}
     if isinstance(kind, list):
-        return {entry for entry in kind if entry != "null"}
-    return {
-        kind
-        for alternative in schema.get("anyOf") or schema.get("oneOf") or []
-        if isinstance(alternative, dict)
-        for kind in kinds(alternative) - {"null"}
-    }
+        return {entry for entry in kind if isinstance(entry, str) and entry != "null"}
+    alternatives = _list(schema.get("anyOf")) or _list(schema.get("oneOf"))
+    return {kind for alternative in alternatives for kind in kinds(_table(alternative)) - {"null"}}
 
 
 def choice(schema: Mapping[str, Any], chosen: re.Pattern[str] | None) -> str | None:
     """Find the value of an enumerated argument that matches, such as the name of a table."""
-    if chosen is None or not isinstance(schema, Mapping):
+    if chosen is None:
         return None
-    alternatives = (schema, *(entry for entry in schema.get("anyOf") or [] if isinstance(entry, dict)))
-    values = (value for entry in alternatives for value in (*(entry.get("enum") or []), entry.get("const")))
+    alternatives = (schema, *map(_table, _list(schema.get("anyOf"))))
+    values = (value for entry in alternatives for value in (*_list(entry.get("enum")), entry.get("const")))
     return next((value for value in values if isinstance(value, str) and chosen.search(value)), None)
 
 
-def _resolved(value: object, definitions: Mapping[str, object], depth: int) -> object:
-    """Replace the local references of a schema, down to the depth to which tools nest arguments."""
-    if depth > 10:
+class _Resolution:
+    """The replacement of local references, down to the depth to which tools nest arguments, and to the size that a person could read."""
+
+    def __init__(self, definitions: Mapping[str, object]) -> None:
+        self._definitions = definitions
+        self._left = _MOST_PARTS
+
+    def of(self, value: object, depth: int = 0) -> object:
+        self._left -= 1
+        if depth > _DEEPEST or self._left < 0:
+            return {}
+        if isinstance(value, Mapping):
+            reference = value.get("$ref")
+            if isinstance(reference, str) and reference.startswith("#/$defs/"):
+                return self.of(self._definitions.get(reference.removeprefix("#/$defs/"), {}), depth + 1)
+            return {name: self.of(member, depth + 1) for name, member in value.items()}
+        if isinstance(value, list):
+            return [self.of(element, depth + 1) for element in value]
         return value
-    if isinstance(value, Mapping):
-        reference = value.get("$ref")
-        if isinstance(reference, str) and reference.startswith("#/$defs/"):
-            return _resolved(definitions.get(reference.removeprefix("#/$defs/"), {}), definitions, depth + 1)
-        return {name: _resolved(member, definitions, depth + 1) for name, member in value.items()}
-    if isinstance(value, list):
-        return [_resolved(element, definitions, depth + 1) for element in value]
-    return value
+
+
+def _table(value: object) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
+def _list(value: object) -> list[Any]:
+    return value if isinstance(value, list) else []

@@ -7,7 +7,6 @@ is not seen.
 
 from __future__ import annotations
 
-import hashlib
 import site
 import sysconfig
 from collections.abc import Callable, Iterable, Iterator
@@ -31,6 +30,8 @@ _CONFIGURATION = (
 )
 _STARTUP = ("sitecustomize.py", "usercustomize.py")
 """Modules that Python imports at its start (documentation of the module ``site``)."""
+_LARGEST_LIST = 1 << 20
+"""Bytes of the largest .pth file that is read; a list of folders is shorter."""
 _OF_VIRTUALENV = "_virtualenv.pth"
 """virtualenv and uv put it into each environment that they make, and no list of files has it."""
 
@@ -116,16 +117,18 @@ def _startup_files(place: Path) -> list[Path]:
 def _executes(path: Path) -> bool:
     """Tell whether a file has a line that is executed; the other lines of a .pth file are folders."""
     try:
+        if path.suffix == ".py" or path.stat().st_size > _LARGEST_LIST:
+            return True
         lines = files.read(path).splitlines()
     except OSError:
         return True
-    return path.suffix == ".py" or any(line.startswith((b"import ", b"import\t")) for line in lines)
+    return any(line.startswith((b"import ", b"import\t")) for line in lines)
 
 
 def _digest(path: Path) -> str | None:
     """Return the digest of a file, a word for what is no regular file, None for what is not there."""
     try:
-        return hashlib.sha256(files.read(path)).hexdigest()
+        return files.digest(path)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:

@@ -88,8 +88,12 @@ class Connections:
     def _of_owner(self, entry: JournalEntry) -> str | None:
         number, origin = entry["connection"], entry["origin"]
         if number == 0:
-            # The kit changes the network, and a device does by itself what its time-outs make it do: neither came from a client.
-            of_nobody = origin == "kit" or (origin == "plant" and entry["direction"] == "out")
+            # The kit changes the network, and a device does by itself what its time-outs make it do: neither came from a client. What the kit
+            # does has no bytes on the wire, and no connection that could begin or end.
+            of_kit = (
+                origin == "kit" and entry.get("frame") is None and entry["kind"] not in ("CONNECTED", "DISCONNECTED")
+            )
+            of_nobody = of_kit or (origin == "plant" and entry["direction"] == "out")
             return None if of_nobody else f"has no connection, and is called the {origin}'s"
         if number in self._whose and entry["kind"] == "CONNECTED":
             return f"begins the connection {number}, which was there already"

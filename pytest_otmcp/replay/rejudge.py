@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from ipaddress import ip_address
 from typing import Any
 
@@ -32,7 +33,7 @@ from .driver import ReplayDriver, UnfinishedError
 from .player import RecordedAdapter
 from .reply import UNREADABLE, HistoryError, at_its_place, restored_bindings
 
-__all__ = ["differences", "rejudge"]
+__all__ = ["depends_on_seed", "differences", "rejudge"]
 
 _APART = frozenset({"findings", "strangers"})
 """Members of judgements that are compared one by one, or may be absent."""
@@ -61,6 +62,17 @@ def rejudge(run: StoredRun) -> list[str]:
             f"the run was judged by the suite {stated}, this is {digest}: judge it again with the version of the kit that made it"
         ]
     return list(map(str, differences(run)))
+
+
+def depends_on_seed(run: StoredRun) -> bool:
+    """Tell whether a record shows that its seed was known when the run was made: with another seed its steps ask for something else.
+
+    Args:
+        run: one that was judged as it deserves.
+    """
+    other = copy(run)
+    other.header = {**run.header, "settings": {**run.header["settings"], "seed": run.header["settings"]["seed"] + 1}}
+    return next(differences(other), None) is not None
 
 
 def differences(run: StoredRun) -> Iterator[Difference]:
@@ -111,6 +123,8 @@ class _Judge:
         """Return what cannot be true of the devices: the kit's devices, and its tap before a device of the user's, are on one machine."""
         for name, history in self._devices.items():
             facts = history.facts
+            if ("witnesses" in facts) != (facts["protocol"] in self._settings.get("devices", {})):
+                yield Objection(name, "a device with witnesses is a real one that the settings name, and no other is")
             for endpoint in facts["endpoints"]:
                 if endpoint["kind"] in ("tcp", "udp") and not _is_loopback(endpoint["host"]):
                     stated = f"a device of the kit listens on this machine only, the record says {endpoint['host']!r}"

@@ -65,6 +65,9 @@ def _compare(
         return
     schema = tools[tool].get("inputSchema") or {}
     properties = schema.get("properties") or {}
+    if not isinstance(properties, Mapping) or not isinstance(schema.get("required") or [], list):
+        # That it is no JSON Schema is the adapter's fault as well.
+        return
     for argument in arguments:
         if argument not in properties and not _is_open(schema):
             near = difflib.get_close_matches(argument, properties, 1)
@@ -89,6 +92,8 @@ def _left_out(
 ) -> Iterator[str]:
     """Yield the arguments that a tool requires and that stand for an input which most calls do not give."""
     required = (tools.get(tool, {}).get("inputSchema") or {}).get("required") or []
+    if not isinstance(required, list):
+        return
     free = {f"${name}": name for name in asked.voluntary_inputs if name not in asked.defaults}
     for argument, value in arguments.items():
         if argument in required and isinstance(value, str) and value in free:

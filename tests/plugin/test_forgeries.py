@@ -100,6 +100,11 @@ def test_a_run_for_a_challenge_is_none_for_another_one(empty_repository: Reposit
     run["settings"].update(challenge=other, seed=seed_of(other))
     with pytest.raises(Refusal, match="was not judged as its history deserves: M3 warmup: the steps ask for "):
         examine(store(tmp_path / "run.json", run), challenge=other)
+    outcome = empty_repository.pytest(
+        "--pyargs", "pytest_otmcp.conformance", f"--otmcp-challenge={asked}", "-k", "[M1]"
+    )
+    with pytest.raises(Refusal, match="names a challenge, but no value of the run follows from it"):
+        examine(outcome.report / "run.json", challenge=asked)
     del run["settings"]["challenge"]
     with pytest.raises(Refusal, match="was not made for the challenge 'buyer-2026-11-26-7f3a9c', but for none"):
         examine(store(tmp_path / "run.json", run), challenge=asked)
@@ -244,6 +249,18 @@ def a_write_without_its_frame(run: Record) -> None:
     write = service(run, "O3", "Write")
     write |= {"kind": "Read", "state_changing": False}
     del write["frame"]
+
+
+def a_request_of_the_kit(run: Record) -> None:
+    """Call a write of the adapter, with its answer, what the kit did at the device."""
+    asked = entry(run, "M3", function=6, direction="in")
+    both = [one for part in parts(run) for one in part["device"] if one is asked or one["answers"] == asked["seq"]]
+    for one in both:
+        one.update(connection=0, origin="kit")
+
+
+def a_real_device(run: Record) -> None:
+    run["settings"]["devices"] = {"modbus": {"url": "tcp://10.0.0.1:502", "consent": None}}
 
 
 def a_connection_that_begins_twice(run: Record) -> None:
@@ -438,6 +455,8 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         "the session at modbus began before",
         a_session_that_begins_later,
     ),
+    "a request of the kit": ("has no connection, and is called the kit's", a_request_of_the_kit),
+    "a real device that was a mock": ("a device with witnesses is a real one that the settings name", a_real_device),
     "a connection that begins twice": (
         "of the journal of mqtt begins the connection",
         a_connection_that_begins_twice,
