@@ -229,8 +229,6 @@ class _Watcher:
 
     def _start(self, network: bool, view: dict[str, Any] | None, **adapter: Any) -> bool:
         failed, fail = os.pipe()
-        # Those of the machine, whose network this process is about to leave.
-        sockets = [] if view is None else [*walls.socket_paths()]
         try:
             if network:
                 assert self._network is not None
@@ -246,8 +244,8 @@ class _Watcher:
             for number in _HANDLED:
                 signal.signal(number, signal.SIG_DFL)
             if view is not None:
-                self._be_first(fail, {**view, "sockets": sockets}, **adapter)
-            self._become_adapter(fail, walled=network, **adapter)
+                self._be_first(fail, view, network=network, **adapter)
+            self._become_adapter(fail, walled=network, network=network, **adapter)
         self._running = True
         self._tells.close()
         for descriptor in (fail, *self._streams):
@@ -290,7 +288,7 @@ class _Watcher:
             os._exit(0)
 
     def _become_adapter(
-        self, fail: int, walled: bool, raw: bool, command: list[str], env: dict[str, str], cwd: str
+        self, fail: int, walled: bool, network: bool, raw: bool, command: list[str], env: dict[str, str], cwd: str
     ) -> NoReturn:
         try:
             os.setsid()
@@ -301,6 +299,8 @@ class _Watcher:
             os.chdir(cwd)
             if walled:
                 walls.give_up_privileges(raw=raw)
+            if network:
+                walls.keep_to_its_network()
             os.execvpe(command[0], command, env)  # noqa: S606
         except OSError as error:
             _fail(fail, failed=error.errno)
@@ -413,7 +413,7 @@ def _tried(cwd: str) -> Any:
         try:
             walls.unshare(walls.NEW_PROCESSES, "a process namespace")
             if (first := os.fork()) == 0:
-                walls.enclose(reads=[], writes=[], sockets=[], layers=[cwd] if cwd != "/" else [], cwd=cwd)
+                walls.enclose(reads=[], writes=[], layers=[cwd] if cwd != "/" else [], cwd=cwd)
             else:
                 os.waitpid(first, 0)
         except OSError as error:

@@ -12,6 +12,7 @@ import ctypes
 import errno
 import fcntl
 import os
+import re
 import socket
 import stat
 import struct
@@ -27,8 +28,8 @@ __all__ = [
     "enter_user",
     "give_up_privileges",
     "join",
+    "keep_to_its_network",
     "serve_sockets",
-    "socket_paths",
     "unshare",
 ]
 
@@ -41,7 +42,8 @@ _NOSUID, _NODEV, _NOEXEC, _BIND, _RECURSIVE, _PRIVATE, _DETACH = 0x2, 0x4, 0x8, 
 _OPEN_TREE, _MOVE_MOUNT, _MOUNT_SETATTR = 428, 429, 442
 _AT_FDCWD, _AT_RECURSIVE, _AT_EMPTY_PATH, _FROM_EMPTY_PATH = -100, 0x8000, 0x1000, 0x4
 _CLONE, _CLOEXEC = 0x1, os.O_CLOEXEC
-_READ_ONLY, _NO_SETUID = 0x1, 0x2
+_READ_ONLY, _NO_SETUID, _NO_DEVICES = 0x1, 0x2, 0x4
+_MOUNT_READ_ONLY = 0x1
 
 _NO_NEW_PRIVS, _DROP_FROM_BOUNDS, _AMBIENT, _RAISE = 38, 24, 47, 2
 _OF_A_CABLE, _CAPABILITIES_3 = (12, 13), 0x20080522
@@ -50,9 +52,16 @@ _GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 0x1
 
 _TEMPORARY = ("/tmp", "/var/tmp", "/run")  # noqa: S108
 _NODES = ("null", "zero", "full", "random", "urandom", "tty")
+_EMPTY = "/proc/empty"
 _LINKS = {"fd": "/proc/self/fd", "stdin": "/proc/self/fd/0", "stdout": "/proc/self/fd/1", "stderr": "/proc/self/fd/2"}
 _SETTINGS = ("sys", "sysrq-trigger", "irq", "bus", "fs", "acpi", "scsi")
 """Parts of ``/proc`` that a process of root's may write to without any privilege."""
+
+_CALLS = {"x86_64": (250, 41, 0xC000003E), "aarch64": (219, 198, 0xC00000B7)}
+"""Machine to its numbers of keyctl(2) and socket(2), and of its architecture as filters know it."""
+_RING = 425
+_FAMILIES = (socket.AF_UNIX, socket.AF_INET, socket.AF_INET6, socket.AF_NETLINK, socket.AF_PACKET)
+_SECCOMP, _FILTER, _JOIN_SESSION_KEYRING = 22, 2, 1
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -147,18 +156,16 @@ def serve_sockets(asked: socket.socket) -> None:
 # -- processes and files --------------------------------------------------------------------------------------------
 
 
-def enclose(
-    *, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str], sockets: Sequence[str], cwd: str
-) -> None:
+def enclose(*, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str], cwd: str) -> None:
     """Give this process, the first of a new namespace of processes, a view of the machine of its own.
 
-    Files are read-only. ``/tmp`` and its like, ``/run`` and ``/dev`` are its own and all but empty.
+    Files are read-only. ``/tmp`` and its like, ``/run`` and ``/dev`` are its own and all but empty. Elsewhere pipes, Unix sockets and devices
+    are there by name and lead nowhere: an overlay has such files of its own (Documentation/filesystems/overlayfs.rst).
 
     Args:
         reads: paths that can be read although they lie in a folder that is its own; devices among them can be used.
         writes: paths that are written to for good.
         layers: folders in which what is written lies above what is there, and ends with the processes.
-        sockets: paths of Unix sockets that cannot be reached, but for those that are read or written.
         cwd: its working directory.
 
     Raises:
@@ -167,19 +174,20 @@ def enclose(
     unshare(_NEW_MOUNTS | _NEW_IPC | _NEW_NAME, "a mount namespace")
     _mount("none", "/", "", _RECURSIVE | _PRIVATE)
     nodes = {f"/dev/{name}": _held(f"/dev/{name}") for name in _NODES}
+    mounted = [*_mounts()]
     seen = {path: _held(path) for path in dict.fromkeys((*reads, *writes, *layers))}
     # The machine lets this be done as long as nothing covers a part of its own /proc.
     _mount("proc", "/proc", "proc", _NOSUID | _NODEV | _NOEXEC)
-    _set_flags("/", _READ_ONLY | _NO_SETUID)
+    _set_flags("/", _READ_ONLY | _NO_SETUID | _NO_DEVICES)
     _set_flags("/proc", 0, cleared=_READ_ONLY, recursive=False)
     if os.geteuid() == 0:
         _cover_settings()
-    own = [*_own_folders()]
+    _veil(mounted, needed=(*seen, os.path.realpath(cwd)))
+    _cover_folders()
     for path in sorted(seen, key=lambda one: one.count("/")):
         if path not in writes:
             _set_flags("", _READ_ONLY | _NO_SETUID, at=seen[path])
-        if path in writes or any(_is_below(path, folder) for folder in (*own, *layers)):
-            _place(seen[path], path)
+        _place(seen[path], path)
         if path in layers and not any(_is_below(path, folder) for folder in writes):
             with contextlib.suppress(*(() if path == os.path.realpath(cwd) else (RefusedError,))):
                 _lay_over(path)
@@ -187,24 +195,56 @@ def enclose(
     for path, tree in nodes.items():
         _place(tree, path)
         os.close(tree)
-    for path in sockets:
-        if os.path.realpath(path) not in (*reads, *writes):
-            try:
-                _mount("/dev/null", path, "", _BIND)
-            except RefusedError as error:
-                # Whoever made the socket may have removed it at any moment.
-                if error.errno not in (errno.ENOENT, errno.ENOTDIR):
-                    raise
     os.chdir(cwd)
+
+
+def keep_to_its_network() -> None:
+    """Have this process, and all that comes of it, make sockets of the usual families alone (seccomp(2)).
+
+    A namespace of networks does not hold all of them: ``AF_VSOCK`` reaches the host of a virtual machine. Rings of system calls (io_uring(7))
+    are refused, because they make sockets past the filter, and so are programs of another architecture. On a machine whose calls are not
+    known here, nothing is refused.
+    """
+    if (known := _CALLS.get(os.uname().machine)) is None:
+        return
+    _, socket_number, architecture = known
+    allow, fails = 0x7FFF0000, 0x00050000
+    jump = [(0x20, 0, 0, 4), (0x15, 1, 0, architecture), (0x06, 0, 0, fails | errno.ENOSYS), (0x20, 0, 0, 0)]
+    # The second set of calls of x86-64 has the same numbers with a bit of its own.
+    jump += [
+        (0x54, 0, 0, 0xBFFFFFFF),
+        (0x15, 0, 1, _RING),
+        (0x06, 0, 0, fails | errno.ENOSYS),
+        (0x15, 1, 0, socket_number),
+    ]
+    jump += [(0x06, 0, 0, allow), (0x20, 0, 0, 16)]
+    jump += [(0x15, len(_FAMILIES) - index, 0, family) for index, family in enumerate(_FAMILIES)]
+    jump += [(0x06, 0, 0, fails | errno.EAFNOSUPPORT), (0x06, 0, 0, allow)]
+    filters = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *one) for one in jump))
+    program = struct.pack("@HP", len(jump), ctypes.addressof(filters))
+    _call(
+        "a filter of system calls",
+        "prctl",
+        _SECCOMP,
+        ctypes.c_ulong(_FILTER),
+        program,
+        ctypes.c_ulong(0),
+        ctypes.c_ulong(0),
+    )
 
 
 def give_up_privileges(*, raw: bool = False) -> None:
     """Have what this process executes run without the privileges that it has in its namespaces, and never gain any (capabilities(7)).
 
+    It has a keyring of its own as well, and not that of whoever started the kit (session-keyring(7)).
+
     Args:
         raw: it keeps those of opening packet sockets and of setting interfaces up in its network, which holds nothing else.
     """
     _libc.prctl(_NO_NEW_PRIVS, ctypes.c_ulong(1), 0, 0, 0)
+    if (known := _CALLS.get(os.uname().machine)) is not None:
+        # A kernel without keys has none to protect.
+        _libc.syscall(known[0], _JOIN_SESSION_KEYRING, None)
     for capability in range(64):
         # It fails beyond the last one that the kernel knows.
         if not (raw and capability in _OF_A_CABLE):
@@ -222,13 +262,6 @@ def give_up_privileges(*, raw: bool = False) -> None:
             _libc.prctl(_AMBIENT, ctypes.c_ulong(_RAISE), ctypes.c_ulong(capability), 0, 0)
 
 
-def socket_paths() -> Iterator[str]:
-    """Return the paths of the Unix sockets that were made in this process's network and have one (``/proc/net/unix``)."""
-    with open("/proc/self/net/unix", encoding="utf-8", errors="surrogateescape") as file:
-        paths = {line.rstrip("\n").split(" ", 7)[-1].lstrip() for line in file}
-    yield from (path for path in paths if path.startswith("/"))
-
-
 def _is_below(path: str, folder: str) -> bool:
     return path == folder or path.startswith(folder.rstrip("/") + "/")
 
@@ -236,6 +269,56 @@ def _is_below(path: str, folder: str) -> bool:
 def _mount(source: str, target: str, kind: str, flags: int, options: str = "") -> None:
     arguments = [os.fsencode(text) for text in (source, target, kind)]
     _call(f"a mount on {target}", "mount", *arguments, ctypes.c_ulong(flags), os.fsencode(options) if options else None)
+
+
+def _mounts() -> Iterator[str]:
+    """Yield where something is mounted."""
+    with open("/proc/self/mountinfo", "rb") as file:
+        for line in file:
+            # A blank in a path is told as \\040 (proc_pid_mountinfo(5)).
+            place = re.sub(rb"\\([0-7]{3})", lambda octal: bytes([int(octal[1], 8)]), line.split(b" ")[4])
+            yield os.fsdecode(place)
+
+
+def _veil(mounted: Sequence[str], needed: Sequence[str]) -> None:
+    """Lay an empty layer over each folder of the machine that is not the adapter's own.
+
+    Args:
+        mounted: where something is mounted. A layer would hide it, and the kernel lets nobody do that, so that folders above have layers over
+            their parts.
+        needed: paths that must stay visible; what cannot lie below a layer is covered otherwise.
+    """
+    _mount("tmpfs", "/proc", "tmpfs", _NOSUID | _NODEV, "mode=700")
+    os.mkdir(_EMPTY)
+    pending = ["/"]
+    while pending:
+        path = pending.pop()
+        if path in ("/dev", "/proc", "/sys", *_TEMPORARY):
+            continue
+        kind = os.lstat(path).st_mode
+        if stat.S_ISDIR(kind) and any(one != path and _is_below(one, path) for one in mounted):
+            pending += [os.path.join(path, name) for name in os.listdir(path)]
+        elif stat.S_ISDIR(kind):
+            try:
+                _lay_nothing_over(path)
+            except RefusedError:
+                if any(_is_below(one, path) for one in needed):
+                    raise
+                _mount("tmpfs", path, "tmpfs", _NOSUID | _NODEV | _MOUNT_READ_ONLY)
+        elif not (stat.S_ISREG(kind) or stat.S_ISLNK(kind)):
+            _mount("/dev/null", path, "", _BIND)
+    # A layer holds the folder, and nobody can put anything into one that has been removed.
+    os.rmdir(_EMPTY)
+    _call("the end of a mount", "umount2", b"/proc", _DETACH)
+
+
+def _lay_nothing_over(path: str) -> None:
+    os.chdir(path)
+    try:
+        # A path in the options would have to be escaped.
+        _mount("overlay", path, "overlay", _NOSUID | _NODEV | _MOUNT_READ_ONLY, f"lowerdir=.:{_EMPTY},userxattr")
+    finally:
+        os.chdir("/")
 
 
 def _held(path: str) -> int:
@@ -279,8 +362,8 @@ def _cover_settings() -> None:
             os.close(tree)
 
 
-def _own_folders() -> Iterator[str]:
-    """Cover the folders in which programs meet with empty ones, and ``/dev``; return them."""
+def _cover_folders() -> None:
+    """Cover the folders in which programs meet with empty ones, and ``/dev``."""
     covered: list[str] = []
     for path in dict.fromkeys((*_TEMPORARY, os.environ.get("TMPDIR", "/tmp"))):  # noqa: S108
         if any(_is_below(path, folder) for folder in covered):
@@ -288,13 +371,11 @@ def _own_folders() -> Iterator[str]:
         elif os.path.isdir(path) and not os.path.islink(path):
             _mount("tmpfs", path, "tmpfs", _NOSUID | _NODEV, "mode=1777")
             covered.append(path)
-    yield from covered
     _mount("tmpfs", "/dev", "tmpfs", _NOSUID, "mode=755")
     for name, target in _LINKS.items():
         os.symlink(target, f"/dev/{name}")
     os.mkdir(shared := "/dev/shm")  # noqa: S108
     _mount("tmpfs", shared, "tmpfs", _NOSUID | _NODEV, "mode=1777")
-    yield "/dev"
 
 
 def _lay_over(path: str) -> None:

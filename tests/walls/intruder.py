@@ -41,6 +41,18 @@ def _writes(path: str) -> Callable[[], bool]:
     return write
 
 
+def _fills(path: str) -> Callable[[], bool]:
+    def fill() -> bool:
+        # Without waiting: a pipe that nobody reads has no other end.
+        descriptor = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
+        try:
+            return os.write(descriptor, MARK) > 0
+        finally:
+            os.close(descriptor)
+
+    return fill
+
+
 def _reads_a_secret_of_others() -> bool:
     """The environment of a process that has been started by somebody else."""
     for entry in Path("/proc").iterdir():
@@ -125,6 +137,8 @@ def main() -> None:
         "connects to an abstract Unix socket": _sends(socket.AF_UNIX, socket.SOCK_STREAM, f"\0{outside['abstract']}"),
         "connects to a Unix socket below `/tmp`": _sends(socket.AF_UNIX, socket.SOCK_STREAM, outside["path"]),
         "connects to a Unix socket elsewhere": _sends(socket.AF_UNIX, socket.SOCK_STREAM, outside["home"]),
+        "connects to a Unix socket that was renamed": _sends(socket.AF_UNIX, socket.SOCK_STREAM, outside["renamed"]),
+        "writes into a pipe": _fills(outside["pipe"]),
         "signals another process": _signals(other),
         "traces another process": _traces(other),
         "limits the resources of another process": _limits(other),

@@ -16,7 +16,8 @@ _PATIENCE_S = 60
 
 
 class Outside:
-    """Servers of the test's own process: TCP, UDP, and Unix sockets with an abstract name, with a path below ``/tmp``, and with one elsewhere.
+    """Servers of the test's own process: TCP, UDP, and Unix sockets with an abstract name, with a path below ``/tmp``, and with
+    two elsewhere, of which one was renamed; and a pipe beside them.
 
     Attributes:
         came: what came by which of them.
@@ -29,12 +30,24 @@ class Outside:
         self._kept = ExitStack()
         directory = self._kept.enter_context(tempfile.TemporaryDirectory(prefix="outside-"))
         self.name = f"outside-{secrets.token_hex(8)}"
-        self.paths = {"path": f"{directory}/socket", "home": str(elsewhere / f"{self.name}.socket")}
+        self.paths = {
+            "path": f"{directory}/socket",
+            "home": str(elsewhere / f"{self.name}.socket"),
+            "renamed": str(elsewhere / f"{self.name}.renamed"),
+        }
+        self.pipe = str(elsewhere / f"{self.name}.pipe")
+        os.mkfifo(self.pipe)
+        self._pipe = os.open(self.pipe, os.O_RDWR | os.O_NONBLOCK)
+        self._kept.callback(os.unlink, self.pipe)
+        self._kept.callback(os.close, self._pipe)
         self._kept.callback(lambda: [os.unlink(path) for path in self.paths.values() if os.path.exists(path)])
         self.tcp = self._serve("tcp", socket.create_server(("127.0.0.1", 0)))
         for kind, address in (("abstract", f"\0{self.name}"), *self.paths.items()):
             server = socket.socket(socket.AF_UNIX)
-            server.bind(address)
+            server.bind(f"{address}.before" if kind == "renamed" else address)
+            if kind == "renamed":
+                # The kernel goes on telling the name that it had first (/proc/net/unix).
+                os.rename(f"{address}.before", address)
             server.listen()
             self._serve(kind, server)
         self.udp = self._kept.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
@@ -79,6 +92,8 @@ class Outside:
             client.sendto(self._last, self.udp.getsockname())
         for _ in range(len(streams) + 1):
             assert self._served.acquire(timeout=_PATIENCE_S)
+        with suppress(BlockingIOError):
+            self._note("pipe", os.read(self._pipe, _BYTES))
         return set(self.came)
 
     def addresses(self) -> dict[str, Any]:
@@ -88,6 +103,7 @@ class Outside:
             "udp": self.udp.getsockname(),
             "abstract": self.name,
             **self.paths,
+            "pipe": self.pipe,
             "process": os.getpid(),
         }
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import json
 import os
 import re
+import secrets
 import socket
 import subprocess
 import sys
@@ -44,6 +46,8 @@ SERVERS = {
     "connects to an abstract Unix socket": "abstract",
     "connects to a Unix socket below `/tmp`": "path",
     "connects to a Unix socket elsewhere": "home",
+    "connects to a Unix socket that was renamed": "renamed",
+    "writes into a pipe": "pipe",
 }
 
 
@@ -210,6 +214,40 @@ def test_a_keeper_that_was_killed_has_a_successor_with_the_same_walls(tmp_path: 
     finally:
         outside.close()
         isolation.close()
+
+
+NOT_OF_A_NETWORK = """
+import ctypes, json, socket, sys
+libc = ctypes.CDLL(None, use_errno=True)
+told = {}
+for name in ("AF_INET", "AF_UNIX", "AF_VSOCK"):
+    try:
+        socket.socket(getattr(socket, name)).close()
+        told[name] = True
+    except OSError:
+        told[name] = False
+told["io_uring"] = libc.syscall(425, 1, ctypes.create_string_buffer(120)) >= 0
+told["key"] = libc.syscall(int(sys.argv[1]), 10, -3, b"user", sys.argv[2].encode(), 0) > 0
+print(json.dumps(told), flush=True)
+sys.stdin.read()
+"""
+KEYCTL = {"x86_64": (250, 248), "aarch64": (219, 217)}.get(os.uname().machine)
+
+
+@pytest.mark.skipif(KEYCTL is None, reason="the numbers of system calls are known for x86-64 and AArch64")
+def test_what_namespaces_do_not_hold_is_refused(tmp_path: Path) -> None:
+    assert KEYCTL is not None
+    isolation, name = isolation_or_skip(), f"otmcp-{secrets.token_hex(8)}"
+    libc = ctypes.CDLL(None, use_errno=True)
+    # Where the machine has no keys, there is none to find.
+    key = libc.syscall(KEYCTL[1], b"user", name.encode(), b"secret", 6, -3)
+    try:
+        command = [sys.executable, "-c", NOT_OF_A_NETWORK, str(KEYCTL[0]), name]
+        told = asyncio.run(_start(isolation.walls(), command, tmp_path))
+    finally:
+        libc.syscall(KEYCTL[0], 3, key)
+        isolation.close()
+    assert told == {"AF_INET": True, "AF_UNIX": True, "AF_VSOCK": False, "io_uring": False, "key": False}
 
 
 def test_what_is_opened_can_be_reached_and_nothing_else(tmp_path: Path) -> None:
