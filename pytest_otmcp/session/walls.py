@@ -296,6 +296,9 @@ def _veil(mounted: Sequence[str], needed: Sequence[str]) -> None:
         if path in ("/dev", "/proc", "/sys", *_TEMPORARY):
             continue
         kind = os.lstat(path).st_mode
+        if stat.S_ISDIR(kind) and not os.access(path, os.X_OK):
+            # Whoever may not enter a folder reaches nothing in it.
+            continue
         if stat.S_ISDIR(kind) and any(one != path and _is_below(one, path) for one in mounted):
             pending += [os.path.join(path, name) for name in os.listdir(path)]
         elif stat.S_ISDIR(kind):
