@@ -72,9 +72,14 @@ class _Session:
     ended_ns: int | None = None
 
 
+_given: set[str] = set()
+"""Tokens of all sessions of this process, at whichever device."""
+
+
 def new_token() -> str:
     """Return a token for the process of one session."""
-    return secrets.token_hex(16)
+    _given.add(token := secrets.token_hex(16))
+    return token
 
 
 class Sessions:
@@ -144,7 +149,8 @@ class Sessions:
             return entry
         entry, found = entry.copy(), peer.process
         session = None if found is None else self._session(found, peer.accepted_ns)
-        if found is not None and found.contained and session is None:
+        if found is not None and found.contained and session is None and found.token not in _given:
+            # Of an adapter in a container of its own nobody knows it. One that the kit has started for another device is known.
             found = None
         if found is None:
             # What cannot be known counts for the adapter as far as it speaks the protocol.

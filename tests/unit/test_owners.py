@@ -174,6 +174,18 @@ async def test_who_is_in_a_namespace_and_descends_from_nobody_that_is_known_coun
     assert "process" not in connected
 
 
+async def test_who_is_in_a_namespace_as_an_adapter_of_another_device_is_a_stranger(device: Device) -> None:
+    if (reason := cannot_nest()) is not None:
+        pytest.skip(reason)
+    device.sessions.expect()
+    named = f"import os\nos.environ[{TOKEN_VARIABLE!r}] = {new_token()!r}\n{NESTING}"
+    async with client(device, "-c", named) as someone:
+        await told(someone, "connect")
+        await told(someone, "send", READ)
+        (request,) = await requests(device, 1)
+    assert request["origin"] == "stranger"
+
+
 async def test_a_descendant_that_has_lost_its_parents_is_known_by_the_token(device: Device) -> None:
     device.sessions.expect()
     token = new_token()
