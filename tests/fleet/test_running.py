@@ -39,6 +39,7 @@ def outcomes(fleet: Path) -> dict[str, Outcome]:
     return {f"{line.id} {line.version}": line.outcome for line in read_lines(fleet / "fleet.json")}
 
 
+@pytest.mark.weekly
 def test_a_fleet_is_interrupted_resumed_and_merged_and_a_new_version_breaks(tmp_path: Path) -> None:
     for name, more in (("honest", ()), ("liar", (LIAR,)), ("dead", ('["false"]',)), ("typo", ())):
         subject(tmp_path, name, *more)

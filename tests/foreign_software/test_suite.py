@@ -56,6 +56,7 @@ def test_the_whole_suite_passes_with_a_mock_as_a_broker_of_the_users_own(tmp_pat
         passes_behind(device.port, tmp_path)
 
 
+@pytest.mark.weekly
 def test_the_whole_suite_passes_with_all_three_adapters_over_http(tmp_path: Path) -> None:
     shipped = reference_text()
     tables = len(re.findall(r"^\[adapter\.\w+\]$", shipped, re.MULTILINE))

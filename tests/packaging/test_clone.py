@@ -42,6 +42,7 @@ def insert(file: Path, text: str, *, before: str) -> None:
     file.write_text(f"{head}{text}{found}{tail}", encoding="utf-8")
 
 
+@pytest.mark.weekly
 def test_the_first_walk_leads_to_a_check_that_the_honest_adapter_passes_and_the_defective_one_fails(
     clone: Path,
 ) -> None:

@@ -59,6 +59,7 @@ def test_uvx_runs_a_command_and_the_suite_from_the_wheel(tools: Run, wheel: Path
     assert "VERDICT: INCOMPLETE (1 of " in tools("uvx", "--from", wheel, *ONE_ITEM, code=1)
 
 
+@pytest.mark.weekly
 @pytest.mark.parametrize(
     "install",
     [

@@ -128,6 +128,7 @@ def test_the_wheel_writes_the_whole_documentation_into_a_directory(
     assert "need the extra `dev`" in pages[site / "honest-adapters.md"]
 
 
+@pytest.mark.weekly
 def test_bare_pytest_in_an_empty_directory_gives_a_verdict(empty: Path) -> None:
     done = run(empty, "python", "-m", "pytest", "--otmcp-reps=1")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -146,6 +147,7 @@ def test_the_examples_of_the_fixtures_run_as_printed(empty: Path) -> None:
     assert f"{TESTS} passed" in done.stdout
 
 
+@pytest.mark.weekly
 def test_a_subject_file_is_certified_and_the_certificate_verified(
     empty: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -61,6 +61,7 @@ def test_defects_whose_library_is_missing_are_left_out_with_the_extra_that_bring
     assert "noticed by exactly what must notice them: 1 of 1" in told.out
 
 
+@pytest.mark.weekly
 @pytest.mark.long
 def test_doctor_names_the_library_that_a_further_reference_adapter_lacks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -193,6 +193,7 @@ def test_an_adapter_as_first_written_has_its_findings(
     assert cited == wanted, [finding["message"] for findings in found.values() for finding in findings]
 
 
+@pytest.mark.weekly
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_an_adapter_changed_as_the_page_says_is_silver(protocol: str, adapters: Path) -> None:
     command = [*OTMCP, "certify", "--subject", str(adapters / protocol / "otmcp.toml")]

@@ -77,3 +77,13 @@ def test_every_selected_test_is_in_one_shard(suite: pytest.Pytester) -> None:
     ran = [{line.partition(" ")[0] for line in lines if "PASSED" in line} for lines in outputs]
     assert [len(part) for part in ran] == [2, 1]
     assert len(ran[0] | ran[1]) == 3
+
+
+def test_of_the_long_tests_of_some_files_the_long_lane_has_a_part(suite: pytest.Pytester) -> None:
+    name, number = "plugin/test_walls", 2
+    assert lanes._ONE_IN[f"{name}.py"] == number
+    several = "".join(f"@pytest.mark.long\ndef test_{one}():\n    pass\n\n" for one in range(4))
+    suite.makepyfile(**{name: f"import pytest\n\n{several}"})
+    for expression, passed in (("long", 2), ("weekly", 2), ("long or weekly", 4)):
+        suite.runpytest("-m", expression, f"{name}.py").assert_outcomes(passed=passed, deselected=4 - passed)
+    suite.runpytest("-m", "long", f"{name}.py::test_1").assert_outcomes(passed=1)
