@@ -86,9 +86,9 @@ def test_a_defect_that_nothing_notices_is_named_and_the_exit_code_is_1(
     monkeypatch.setattr(defects, "declared", declared)
     assert cli.main(["self-check", "MU-02w", "MU-13", "-n", "1"]) == ExitCode.NOT_CONFORMANT
     told = capsys.readouterr().out
-    assert "MU-02w   NOT NOTICED" in told
+    assert "MU-02w     NOT NOTICED" in told
     assert "must be by WR-001.modbus" in told
-    assert "MU-13    noticed" in told
+    assert "MU-13      noticed" in told
     assert "noticed by exactly what must notice them: 1 of 2" in told
     assert told.splitlines()[-1] == "not as expected: MU-02w"
 
