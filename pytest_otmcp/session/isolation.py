@@ -14,6 +14,7 @@ import shutil
 import socket
 import stat
 import sys
+import sysconfig
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -32,6 +33,7 @@ _EXACT = ("/run/", "/dev/")
 """Folders that are the adapter's own: below the first ones all that lies beside a named path is needed, below the others that path alone."""
 _KIT = Path(__file__).parents[2]
 _OF_A_VIEW = tuple(wall for wall in WALLS if wall != NETWORK)
+_FEW_STARTS = 4
 _ANSWER_BYTES = 4096
 _PATIENCE_S = 60.0
 """A file system that does not answer must not hold up more than the walls."""
@@ -66,6 +68,8 @@ class Isolation:
         self._missing: dict[Wall, dict[str, None]] = {wall: {} for wall in WALLS}
         self._descriptors: list[int] = []
         self._view = self._used = False
+        self._starts = 0
+        self._code: frozenset[str] | None = None
         self._hand: socket.socket | None = None
         self._cables: list[Isolation] = []
         self.keeper = Keeper(self._words)
@@ -191,6 +195,17 @@ class Isolation:
         read = {os.path.realpath(path) for path in reads if os.path.exists(path)}
         return {"reads": sorted(read - written), "writes": sorted(written)}
 
+    def code(self) -> frozenset[str]:
+        """Return the folders of Python's own code that need no layer, because there is no special file in them.
+
+        A layer over them costs each start of an adapter 40 ms, and to look through them once costs as much as four of those.
+        """
+        self._starts += 1
+        if self._code is None and self._starts > _FEW_STARTS:
+            named = {os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")}
+            self._code = frozenset(folder for folder in named if _is_plain(folder))
+        return self._code or frozenset()
+
     def saw(self, namespaces: Mapping[str, int], *, network: bool, view: bool) -> None:
         """Compare the namespaces of an adapter's process with those that it should have.
 
@@ -251,7 +266,13 @@ class Walls:
         meant = {word for word in command if word.startswith("/") and _is_socket(word)}
         view = self.isolation.view({*self.reads, *meant, *_needed(command, env, cwd)}, self.writes)
         if view is not None:
-            view["layers"] = sorted(folders - {"/"})
+            view["layers"] = layers = sorted(folders - {"/"})
+            # What the adapter writes below its working directory is its own, code as well.
+            view["reads"] += [
+                one
+                for one in sorted(self.isolation.code())
+                if not any(f"{one}/".startswith(f"{layer}/") for layer in layers)
+            ]
         return {"network": self.network, "raw": self.raw, "view": view}
 
     def saw(self, request: Mapping[str, Any], namespaces: Mapping[str, int]) -> None:
@@ -276,6 +297,22 @@ def _needed(command: Sequence[str], env: Mapping[str, str], cwd: str) -> Iterato
                 yield os.path.join(folder, path[len(folder) + 1 :].split("/")[0])
             elif path.startswith(_EXACT):
                 yield path
+
+
+def _is_plain(folder: str) -> bool:
+    """Tell whether there is nothing but folders, regular files and links in a folder, however deep."""
+    pending = [folder]
+    try:
+        while pending:
+            with os.scandir(pending.pop()) as entries:
+                for entry in entries:
+                    if entry.is_dir(follow_symlinks=False):
+                        pending.append(entry.path)
+                    elif not (entry.is_file(follow_symlinks=False) or entry.is_symlink()):
+                        return False
+    except OSError:
+        return False
+    return True
 
 
 def _is_socket(path: str) -> bool:

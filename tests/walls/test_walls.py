@@ -12,7 +12,7 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -214,6 +214,30 @@ def test_a_keeper_that_was_killed_has_a_successor_with_the_same_walls(tmp_path: 
     finally:
         outside.close()
         isolation.close()
+
+
+@pytest.mark.parametrize("special", [None, os.mkfifo])
+def test_code_without_special_files_needs_no_layer_after_some_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, special: Callable[[Path], None] | None
+) -> None:
+    with tempfile.TemporaryDirectory(dir=HERE) as name:
+        code, cwd = Path(name, "code"), Path(name, "cwd")
+        for folder in (code / "package", cwd):
+            folder.mkdir(parents=True)
+        if special is not None:
+            special(code / "package" / "pipe")
+        monkeypatch.setattr("sysconfig.get_path", lambda kind: str(code))
+        isolation = isolation_or_skip()
+        look = f"import json, os, sys; print(json.dumps({{'device': os.stat({str(code)!r}).st_dev}}), flush=True); sys.stdin.read()"
+        try:
+            seen = [
+                asyncio.run(_start(isolation.walls(), [sys.executable, "-c", look], cwd))["device"] for _ in range(6)
+            ]
+        finally:
+            isolation.close()
+        own = os.stat(code).st_dev
+    assert own not in seen[:4]
+    assert (seen[-1] == own) == (special is None)
 
 
 NOT_OF_A_NETWORK = """
