@@ -26,7 +26,7 @@ CASES = {
 """Operations; the defect that what could not be written is told as written; items with an outage; those that fail, and why."""
 
 
-EVERY = [pytest.param(name, marks=() if name == "modbus" else pytest.mark.long) for name in CASES]
+EVERY = [pytest.param(name, marks=pytest.mark.long) for name in CASES]
 
 _SHOWN = {"Reading": "earned", "Refusing bad requests": "earned", "Load": "earned", "Surviving outages": "earned"}
 GRADES = {

@@ -107,6 +107,7 @@ def test_a_finding_of_an_item_that_turns_out_not_to_apply_stands(judge: Judge) -
     assert requirements(results) == {"SPB-013"}, words(results)
 
 
+@pytest.mark.long
 def test_a_connection_that_an_item_has_left_dead_is_no_part_of_the_next(loop: LoopThread, plant: Plant) -> None:
     tasks = Tasks()
 

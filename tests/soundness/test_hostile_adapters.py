@@ -43,7 +43,7 @@ NOTHING_WRONG = r"the device should have answered at least 1 request\(s\) during
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        pytest.param("slow-pattern", r"the outputSchema of tool ping cannot be checked within 5 s"),
+        pytest.param("slow-pattern", r"the outputSchema of tool ping cannot be checked within 5 s", marks=LONG),
         pytest.param("slow-pattern-of-names", r"is not of type 'null'", marks=LONG),
         pytest.param("slow-references", r"the outputSchema of tool ping cannot be checked within 5 s", marks=LONG),
         pytest.param("endless-reference", r"nested too deeply", marks=LONG),

@@ -9,13 +9,9 @@ from pytest_otmcp.suite.catalogue import tasks_by_id
 from .conftest import Judge, failing, words
 from .pretending import PRETENDERS
 
-QUICK = ("delivers-twice",)
-"""It is run in every test run; the others are run with the long tests."""
 
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.long) for name in PRETENDERS]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", PRETENDERS)
 def test_a_lie_behind_a_freedom_fails_exactly_its_tasks(judge: Judge, name: str) -> None:
     pretender = PRETENDERS[name]
     alone = [task.id for task in tasks_by_id().values() if set(task.protocols) == {pretender.protocol}]

@@ -43,7 +43,7 @@ def nothing_is_left_behind() -> Any:
             r"floods stdout with lines that are no MCP messages.*I am the spindle",
             marks=pytest.mark.long,
         ),
-        ("wrong-id", r"a response carries the id \d{4}, which no request had"),
+        pytest.param("wrong-id", r"a response carries the id \d{4}, which no request had", marks=pytest.mark.long),
         pytest.param("huge-reply", r"a message of more than 4 MiB", marks=pytest.mark.long),
         ("dies-in-call", r"exited with code 7.*out of spindle oil"),
         pytest.param("hangs-in-call", r"no reply within the deadline of 2 s", marks=pytest.mark.long),

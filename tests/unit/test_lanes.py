@@ -85,5 +85,7 @@ def test_of_the_long_tests_of_some_files_the_long_lane_has_a_part(suite: pytest.
     several = "".join(f"@pytest.mark.long\ndef test_{one}():\n    pass\n\n" for one in range(4))
     suite.makepyfile(**{name: f"import pytest\n\n{several}"})
     for expression, passed in (("long", 2), ("weekly", 2), ("long or weekly", 4)):
-        suite.runpytest("-m", expression, f"{name}.py").assert_outcomes(passed=passed, deselected=4 - passed)
-    suite.runpytest("-m", "long", f"{name}.py::test_1").assert_outcomes(passed=1)
+        suite.runpytest("-p", "no:asyncio", "-m", expression, f"{name}.py").assert_outcomes(
+            passed=passed, deselected=4 - passed
+        )
+    suite.runpytest("-p", "no:asyncio", "-m", "long", f"{name}.py::test_1").assert_outcomes(passed=1)
