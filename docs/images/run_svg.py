@@ -41,7 +41,7 @@ COLOURS = {"31": "#ff8078", "32": "#5fd38d", "33": "#e3b341", "36": "#76c7e8"}
 
 
 def told() -> list[str]:
-    """Run the suite and return the lines between pytest's head and foot, with their colours."""
+    """Run the suite and return the lines from its first row to the verdict, with their colours."""
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         (directory / "otmcp.toml").write_text(SUBJECT)
@@ -53,7 +53,7 @@ def told() -> list[str]:
         )
     lines = done.stdout.splitlines()
     begin = next(index for index, line in enumerate(lines) if line == "normal suite")
-    end = max(index for index, line in enumerate(lines) if " failed" in line and "===" in line)
+    end = next(index for index, line in enumerate(lines) if "VERDICT:" in line) + 1
     # A log has no moving line: it says once that devices and adapters start, and its verdict is one line.
     shown = [part for line in lines[begin:end] if "starting" not in line for part in folded(line)]
     return [line for index, line in enumerate(shown) if line or shown[index - 1]]
