@@ -7,7 +7,6 @@ life must not have a second thread. Nothing needs a privilege: a user namespace 
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import errno
 import fcntl
@@ -189,8 +188,13 @@ def enclose(*, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str
             _set_flags("", _READ_ONLY | _NO_SETUID, at=seen[path])
         _place(seen[path], path)
         if path in layers and not any(_is_below(path, folder) for folder in writes):
-            with contextlib.suppress(*(() if path == os.path.realpath(cwd) else (RefusedError,))):
+            try:
                 _lay_over(path)
+            except RefusedError:
+                if path == os.path.realpath(cwd):
+                    raise
+                # What has been placed here would uncover the special files in it.
+                _call("the end of a mount", "umount2", os.fsencode(path), _DETACH)
         os.close(seen[path])
     for path, tree in nodes.items():
         _place(tree, path)
@@ -203,34 +207,33 @@ def keep_to_its_network() -> None:
 
     A namespace of networks does not hold all of them: ``AF_VSOCK`` reaches the host of a virtual machine. Rings of system calls (io_uring(7))
     are refused, because they make sockets past the filter, and so are programs of another architecture. On a machine whose calls are not
-    known here, nothing is refused.
+    known here, and by a kernel without filters, nothing is refused.
     """
     if (known := _CALLS.get(os.uname().machine)) is None:
         return
     _, socket_number, architecture = known
+    load, equal, and_, answer = 0x20, 0x15, 0x54, 0x06
     allow, fails = 0x7FFF0000, 0x00050000
-    jump = [(0x20, 0, 0, 4), (0x15, 1, 0, architecture), (0x06, 0, 0, fails | errno.ENOSYS), (0x20, 0, 0, 0)]
-    # The second set of calls of x86-64 has the same numbers with a bit of its own.
-    jump += [
-        (0x54, 0, 0, 0xBFFFFFFF),
-        (0x15, 0, 1, _RING),
-        (0x06, 0, 0, fails | errno.ENOSYS),
-        (0x15, 1, 0, socket_number),
+    # Each step: code, steps to skip where it holds and where it does not, operand. Number, architecture and first argument of a call are at 0, 4, 16.
+    steps = [
+        (load, 0, 0, 4),
+        (equal, 1, 0, architecture),
+        (answer, 0, 0, fails | errno.ENOSYS),
+        (load, 0, 0, 0),
+        # The second set of calls of x86-64 has the same numbers with a bit of its own.
+        (and_, 0, 0, 0xBFFFFFFF),
+        (equal, 0, 1, _RING),
+        (answer, 0, 0, fails | errno.ENOSYS),
+        (equal, 1, 0, socket_number),
+        (answer, 0, 0, allow),
+        (load, 0, 0, 16),
+        *((equal, len(_FAMILIES) - index, 0, family) for index, family in enumerate(_FAMILIES)),
+        (answer, 0, 0, fails | errno.EAFNOSUPPORT),
+        (answer, 0, 0, allow),
     ]
-    jump += [(0x06, 0, 0, allow), (0x20, 0, 0, 16)]
-    jump += [(0x15, len(_FAMILIES) - index, 0, family) for index, family in enumerate(_FAMILIES)]
-    jump += [(0x06, 0, 0, fails | errno.EAFNOSUPPORT), (0x06, 0, 0, allow)]
-    filters = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *one) for one in jump))
-    program = struct.pack("@HP", len(jump), ctypes.addressof(filters))
-    _call(
-        "a filter of system calls",
-        "prctl",
-        _SECCOMP,
-        ctypes.c_ulong(_FILTER),
-        program,
-        ctypes.c_ulong(0),
-        ctypes.c_ulong(0),
-    )
+    filters = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *one) for one in steps))
+    program = struct.pack("@HP", len(steps), ctypes.addressof(filters))
+    _libc.prctl(_SECCOMP, ctypes.c_ulong(_FILTER), program, ctypes.c_ulong(0), ctypes.c_ulong(0))
 
 
 def give_up_privileges(*, raw: bool = False) -> None:
@@ -292,27 +295,37 @@ def _veil(mounted: Sequence[str], needed: Sequence[str]) -> None:
     os.mkdir(_EMPTY)
     pending = ["/"]
     while pending:
-        path = pending.pop()
-        if path in ("/dev", "/proc", "/sys", *_TEMPORARY):
-            continue
-        kind = os.lstat(path).st_mode
-        if stat.S_ISDIR(kind) and not os.access(path, os.X_OK):
-            # Whoever may not enter a folder reaches nothing in it.
-            continue
-        if stat.S_ISDIR(kind) and any(one != path and _is_below(one, path) for one in mounted):
-            pending += [os.path.join(path, name) for name in os.listdir(path)]
-        elif stat.S_ISDIR(kind):
-            try:
-                _lay_nothing_over(path)
-            except RefusedError:
-                if any(_is_below(one, path) for one in needed):
-                    raise
-                _mount("tmpfs", path, "tmpfs", _NOSUID | _NODEV | _MOUNT_READ_ONLY)
-        elif not (stat.S_ISREG(kind) or stat.S_ISLNK(kind)):
-            _mount("/dev/null", path, "", _BIND)
+        try:
+            pending += _veiled(pending.pop(), mounted, needed)
+        except OSError as error:
+            # What was there a moment ago may have been removed.
+            if error.errno not in (errno.ENOENT, errno.ENOTDIR):
+                raise
     # A layer holds the folder, and nobody can put anything into one that has been removed.
     os.rmdir(_EMPTY)
     _call("the end of a mount", "umount2", b"/proc", _DETACH)
+
+
+def _veiled(path: str, mounted: Sequence[str], needed: Sequence[str]) -> list[str]:
+    """Lay an empty layer over a folder, or cover a special file; return the parts of a folder over which none can lie."""
+    kind = os.lstat(path).st_mode
+    if path in ("/dev", "/proc", "/sys", *_TEMPORARY) or stat.S_ISREG(kind) or stat.S_ISLNK(kind):
+        return []
+    if not stat.S_ISDIR(kind):
+        _mount("/dev/null", path, "", _BIND)
+    elif not os.access(path, os.X_OK):
+        # Whoever may not enter a folder reaches nothing in it.
+        pass
+    elif any(one != path and _is_below(one, path) for one in mounted):
+        return [os.path.join(path, name) for name in os.listdir(path)]
+    else:
+        try:
+            _lay_nothing_over(path)
+        except RefusedError:
+            if any(_is_below(one, path) for one in needed):
+                raise
+            _mount("tmpfs", path, "tmpfs", _NOSUID | _NODEV | _MOUNT_READ_ONLY)
+    return []
 
 
 def _lay_nothing_over(path: str) -> None:

@@ -464,6 +464,14 @@ def test_a_program_gets_what_was_verified_as_json(
     assert json.loads(capsys.readouterr().out)["refused"].startswith("refused: ")
 
 
+def test_a_certificate_repeats_no_member_that_the_schema_does_not_have() -> None:
+    record = conformant_run()
+    before = json.dumps(certificate(record, "ab", TASKS))
+    record["environment"]["level"] = "Gold"
+    record["settings"]["approved_by"] = "TUV"
+    assert json.dumps(certificate(record, "ab", TASKS)) == before
+
+
 @pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed")
 def test_of_a_key_that_has_expired_is_said_as_of_when_it_was_valid(
     files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

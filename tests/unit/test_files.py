@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import py_compile
@@ -18,7 +19,7 @@ from pytest_otmcp.cli import Refusal
 from pytest_otmcp.cli.files import content
 from pytest_otmcp.cli.signature import signer
 from pytest_otmcp.core.errors import UsageError
-from pytest_otmcp.core.files import new_file, read
+from pytest_otmcp.core.files import digest, new_file, read
 from pytest_otmcp.record.reader import RecordError, open_record
 from pytest_otmcp.record.schema import SCHEMA
 from pytest_otmcp.record.writer import RunWriter, SampleSpool
@@ -123,3 +124,13 @@ def test_byte_code_beside_a_bindings_file_is_not_executed(tmp_path: Path) -> Non
     os.utime(other, (1, 1))
     py_compile.compile(str(other), cfile=importlib.util.cache_from_source(str(source)))
     assert list(load_functions(source, "modbus", "key")) == ["ping"]
+
+
+def test_a_file_of_any_size_costs_nothing_to_refuse(tmp_path: Path) -> None:
+    small, sparse = tmp_path / "small", tmp_path / "sparse"
+    small.write_bytes(b"content")
+    assert digest(small) == hashlib.sha256(b"content").hexdigest()
+    with open(sparse, "wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(OSError, match="too large"):
+        digest(sparse)

@@ -794,3 +794,19 @@ def test_a_node_id_that_is_none_is_no_illegal_address() -> None:
     errors = load_pack("opcua").errors
     assert known_errors(errors, "illegal_address", "BadNodeIdInvalid") == []
     assert known_errors(errors, "illegal_address", "BadNodeIdUnknown") != []
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"properties": [["address"]]},
+        {"properties": {"a": True}},
+        {"properties": {"a": {"type": [{}], "enum": 5, "anyOf": 5}}},
+        {"properties": {"a": {"type": 5}}, "required": {"a": 1}},
+        {"$defs": 5, "properties": {"a": {"$ref": "#/$defs/x"}}},
+        {"properties": {"a": {"$ref": "#/$defs/b"}}, "$defs": {"b": {f"p{at}": {"$ref": "#/$defs/b"} for at in range(400)}}},
+    ],
+)  # fmt: skip
+def test_an_odd_schema_is_read_as_far_as_it_can_be(odd: dict[str, Any]) -> None:
+    listing = {"read_registers": {"inputSchema": {"type": "object", **odd}}}
+    assert all(guess.tool == "read_registers" for guess in guesses("modbus", "read_holding", listing))
