@@ -161,6 +161,7 @@ def test_a_prose_adapter_is_described_by_what_the_device_saw(
     assert adapter.unclaimed == {
         "guard": "otmcp init does not know how writes are disabled",
         "ping": "otmcp init found no tool for it",
+        "read_input": "otmcp init found no tool for it",
     }
 
 
