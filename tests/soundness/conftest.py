@@ -73,12 +73,23 @@ def loop() -> Iterator[LoopThread]:
 
 
 @pytest.fixture(scope="session")
-def plant(loop: LoopThread, pytestconfig: pytest.Config) -> Iterator[Plant]:
-    isolation = Isolation(pytestconfig.getoption("--isolation"))
+def isolation(pytestconfig: pytest.Config) -> Iterator[Isolation]:
+    of_all = Isolation(pytestconfig.getoption("--isolation"))
+    yield of_all
+    of_all.close()
+
+
+@pytest.fixture(scope="session")
+def plant(loop: LoopThread, isolation: Isolation) -> Iterator[Plant]:
     shared = Plant(isolation=isolation)
     yield shared
     loop.run(shared.close())
-    isolation.close()
+
+
+@pytest.fixture
+def walled(isolation: Isolation) -> bool:
+    """Whether adapters have files and processes of their own."""
+    return isolation.walls() is not None and isolation.account()["processes"] is None
 
 
 Results = dict[str, dict[str, Any]]

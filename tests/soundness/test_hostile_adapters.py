@@ -147,13 +147,16 @@ def test_what_an_adapter_leaves_running_is_told(judge: Judge, token: str, kind: 
 
 
 @LONG
-def test_who_comes_after_an_adapter_that_harms_the_keeper_is_not_accused(judge: Judge, token: str) -> None:
+def test_who_comes_after_an_adapter_that_harms_the_keeper_is_not_accused(
+    judge: Judge, token: str, walled: bool
+) -> None:
     genuine = (sys.executable, "-P", "-m", ADAPTERS, "modbus")
     judge("modbus", command=hostile("stops-the-keeper", token), tasks="M1")
     assert judge("modbus", command=genuine, tasks="M1")["M1"]["status"] == "PASS"
     judge("modbus", command=hostile("limits-its-parents", token), tasks="M1")
-    # The kit has a new keeper then.
-    assert [judge("modbus", command=genuine, tasks="M1")["M1"]["status"] for _ in range(2)] == ["KIT_ERROR", "PASS"]
+    # The kit has a new keeper then. Behind walls nothing has harmed the first one.
+    after = [judge("modbus", command=genuine, tasks="M1")["M1"]["status"] for _ in range(2)]
+    assert after == ["PASS" if walled else "KIT_ERROR", "PASS"]
 
 
 @LONG
@@ -175,7 +178,7 @@ def test_not_all_of_many_tools_are_called(judge: Judge, token: str) -> None:
 @LONG
 @pytest.mark.parametrize("kind", ["link", "second-name", "pipe"])
 def test_what_an_adapter_puts_in_place_of_its_log_is_neither_read_nor_changed(
-    judge: Judge, tmp_path: Path, kind: str
+    judge: Judge, tmp_path: Path, kind: str, walled: bool
 ) -> None:
     def described(adapter: Adapter) -> Adapter:
         launch = adapter.variants["governed"]
@@ -186,5 +189,7 @@ def test_what_an_adapter_puts_in_place_of_its_log_is_neither_read_nor_changed(
     checks = "AUD-001.modbus AUD-002.modbus AUD-003.modbus"
     results = judge("modbus", "log_elsewhere.py", kind, described=described, tasks=checks)
     assert {result["status"] for result in results.values()} == {"FAIL"}, words(results)
-    assert "the audit log has no record of it" in words(results)
+    # No second name leads from what is open to an adapter to another folder that is.
+    stopped = walled and kind == "second-name"
+    assert ("Invalid cross-device link" if stopped else "the audit log has no record of it") in words(results)
     assert (tmp_path / "victim.txt").read_bytes() == b"not to be changed\n"

@@ -8,6 +8,7 @@ import json
 import os
 import re
 import secrets
+import shutil
 import socket
 import subprocess
 import sys
@@ -315,6 +316,82 @@ def test_packages_to_which_the_environment_of_the_kit_leads_can_be_read(
             assert asyncio.run(_start(isolation.walls(), [sys.executable, "-c", code], tmp_path)) == {"found": True}
         finally:
             isolation.close()
+
+
+# -- file systems in the way ------------------------------------------------------------------------------------------
+
+MOUNTED = """
+mount -t tmpfs none "$1/home/mounted" || exit 99
+mount -t overlay overlay -o lowerdir="$1/lower:$1/empty" "$1/first" || exit 99
+mount -t overlay overlay -o lowerdir="$1/first:$1/empty" "$1/second" || exit 99
+shift
+exec "$@"
+"""
+"""Runs a command where something is mounted below a ``HOME``, and where an overlay lies upon another: the kernel refuses a third."""
+
+LOOKING_AROUND = """
+import asyncio, os, socket, sys
+from pathlib import Path
+from tests.walls import test_walls
+
+folder = Path(sys.argv[1])
+os.environ["HOME"] = str(folder / "home")
+listening = socket.socket(socket.AF_UNIX)
+# A path is short enough for a socket where it is told from its folder.
+os.chdir(folder / "home")
+listening.bind("socket")
+listening.listen()
+os.chdir(folder / "cwd")
+isolation = test_walls.Isolation("require")
+print(asyncio.run(test_walls._start(isolation.walls(), [sys.executable, "-c", test_walls.LOOKS, *sys.argv[1:]], folder / "cwd")))
+isolation.close()
+"""
+
+LOOKS = """
+import json, os, socket, sys
+folder, seen = sys.argv[1], {}
+try:
+    os.chdir(f"{folder}/home")
+    socket.socket(socket.AF_UNIX).connect("socket")
+    seen["socket"] = True
+except OSError:
+    seen["socket"] = False
+try:
+    open("written", "w").close()
+    seen["written"] = True
+except OSError:
+    seen["written"] = False
+seen["home"] = os.path.exists("file")
+seen["second"] = os.listdir(f"{folder}/second")
+print(json.dumps(seen), flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.long
+def test_a_home_with_a_mount_below_is_read_only_and_what_no_overlay_can_cover_is_hidden() -> None:
+    isolation_or_skip().close()
+    if (unshare := shutil.which("unshare")) is None:
+        pytest.skip("unshare(1) is not installed")
+    with tempfile.TemporaryDirectory(dir=HERE) as name:
+        folder = Path(name)
+        for part in ("home/mounted", "lower", "empty", "first", "second", "cwd"):
+            (folder / part).mkdir(parents=True)
+        for part in ("home", "lower"):
+            (folder / part / "file").touch()
+        done = subprocess.run(
+            [unshare, "--map-current-user", "--keep-caps", "--mount", "sh", "-c", MOUNTED, "sh", name]
+            + [sys.executable, "-c", LOOKING_AROUND, name],
+            cwd=HERE.parents[1],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    if done.returncode == 99:
+        pytest.skip(f"mounts are refused: {done.stderr.strip()}")
+    assert done.stderr == ""
+    assert done.stdout == "{'socket': False, 'written': False, 'home': True, 'second': []}\n"
 
 
 # -- machines that refuse ---------------------------------------------------------------------------------------------
