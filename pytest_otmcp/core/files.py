@@ -9,10 +9,12 @@ import errno
 import hashlib
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["digest", "new_file", "no_link", "read", "regular"]
+__all__ = ["digest", "new_file", "new_file_below", "no_link", "read", "regular", "remove_below"]
 
 _WITHOUT_WAITING = os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 _LARGEST = 1 << 28
@@ -64,6 +66,60 @@ def new_file(path: Path) -> BinaryIO:
     """
     path.unlink(missing_ok=True)
     return open(path, "xb", opener=no_link)
+
+
+def new_file_below(folder: str | os.PathLike[str], name: str) -> BinaryIO:
+    """Make a file in a folder in which somebody else may have put a link, in place of whatever is there.
+
+    Args:
+        name: relative path; the folders in it are made where they are not there.
+
+    Raises:
+        OSError: it cannot be made, or a folder is in its place.
+    """
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    with _room(folder, name) as (at, last):
+        return os.fdopen(os.open(last, flags, 0o666, dir_fd=at), "wb")
+
+
+def remove_below(folder: str | os.PathLike[str], name: str) -> None:
+    """Have no file of a name in a folder in which somebody else may have put a link.
+
+    Raises:
+        OSError: that of :func:`new_file_below`.
+    """
+    with _room(folder, name):
+        pass
+
+
+@contextmanager
+def _room(folder: str | os.PathLike[str], name: str) -> Iterator[tuple[int, str]]:
+    """Remove what is at a path below a folder; yield a descriptor of where it was, and its last part."""
+    *folders, last = Path(name).parts
+    at = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        for part in folders:
+            inner = _folder(part, at)
+            os.close(at)
+            at = inner
+        with suppress(FileNotFoundError):
+            os.unlink(last, dir_fd=at)
+        yield at, last
+    finally:
+        os.close(at)
+
+
+def _folder(name: str, at: int) -> int:
+    flags = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+    try:
+        return os.open(name, flags, dir_fd=at)
+    except FileNotFoundError:
+        pass
+    except NotADirectoryError:
+        # A link as well.
+        os.unlink(name, dir_fd=at)
+    os.mkdir(name, dir_fd=at)
+    return os.open(name, flags, dir_fd=at)
 
 
 def _opened(path: str | os.PathLike[str], flags: int, *, follow: bool) -> int:

@@ -169,11 +169,10 @@ class Sessions:
         return self._session(process, time.monotonic_ns()) is not None
 
     def _session(self, process: PeerProcess, accepted_ns: int) -> _Session | None:
-        if process.token is not None and process.token in self._by_token:
-            return self._by_token[process.token]
         for session in self._by_token.values():
             lived = session.began_ns <= accepted_ns <= (session.ended_ns or accepted_ns)
             # Numbers of processes come again: only one that lived then is meant.
             if lived and session.pid() in (process.pid, *process.ancestors):
                 return session
-        return None
+        # Only what has lost its parents is known by its token, which whoever was told it can give another.
+        return None if process.token is None else self._by_token.get(process.token)

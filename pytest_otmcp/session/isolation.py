@@ -15,7 +15,7 @@ import socket
 import stat
 import sys
 import sysconfig
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from ..core.errors import KitError, UsageError
 from ..core.text import one_line
 from ..core.walls import AUTO, NETWORK, OFF, REQUIRE, WALLS, Wall
 from .keeping import Keeper
+from .walls import received
 
 __all__ = ["Isolation", "Walls", "remedy"]
 
@@ -34,6 +35,8 @@ _EXACT = ("/run/", "/dev/")
 _KIT = Path(__file__).parents[2]
 _OF_A_VIEW = tuple(wall for wall in WALLS if wall != NETWORK)
 _FEW_STARTS = 4
+_MOST_LINKS = 40
+"""Links that the kernel follows in a path (path_resolution(7))."""
 _ANSWER_BYTES = 4096
 _PATIENCE_S = 60.0
 """A file system that does not answer must not hold up more than the walls."""
@@ -91,7 +94,7 @@ class Isolation:
         try:
             listening = self.keeper.start()
             listening.settimeout(_PATIENCE_S)
-            said, given, _, _ = socket.recv_fds(listening, _ANSWER_BYTES, 3, socket.MSG_CMSG_CLOEXEC)
+            said, given = received(listening, _ANSWER_BYTES, 3)
             listening.settimeout(None)
             refused = json.loads(said)
         except (OSError, ValueError) as error:
@@ -181,19 +184,16 @@ class Isolation:
         """
         assert self._hand is not None
         self._hand.sendall(bytes([family, kind]))
-        said, given, _, _ = socket.recv_fds(self._hand, 1, 1, socket.MSG_CMSG_CLOEXEC)
+        said, given = received(self._hand, 1, 1)
         if not given:
             number = said[0] if said else 0
             raise OSError(number, os.strerror(number) if number else "the process that makes sockets has ended")
         return socket.socket(fileno=given[0])
 
-    def view(self, reads: Iterable[str], writes: Sequence[str]) -> dict[str, list[str]] | None:
-        """Return the request for a view of the machine; None where the machine refuses it."""
-        if not self._view or self._missing[_OF_A_VIEW[0]]:
-            return None
-        written = {os.path.realpath(path) for path in writes}
-        read = {os.path.realpath(path) for path in reads if os.path.exists(path)}
-        return {"reads": sorted(read - written), "writes": sorted(written)}
+    @property
+    def has_view(self) -> bool:
+        """Whether adapters have a view of the machine of their own."""
+        return self._view and not self._missing[_OF_A_VIEW[0]]
 
     def code(self) -> frozenset[str]:
         """Return the folders of Python's own code that need no layer, because there is no special file in them.
@@ -261,19 +261,31 @@ class Walls:
 
     def request(self, command: Sequence[str], env: Mapping[str, str], cwd: str) -> dict[str, Any]:
         """Return what the keeper is asked for: see ``keeper``."""
-        folders = {os.path.realpath(path) for path in (cwd, env.get("HOME", "")) if os.path.isdir(path)}
-        # Who starts an adapter with a path that leads to a socket means it.
-        meant = {word for word in command if word.startswith("/") and _is_socket(word)}
-        view = self.isolation.view({*self.reads, *meant, *_needed(command, env, cwd)}, self.writes)
-        if view is not None:
-            view["layers"] = layers = sorted(folders - {"/"})
-            # What the adapter writes below its working directory is its own, code as well.
-            view["reads"] += [
-                one
-                for one in sorted(self.isolation.code())
-                if not any(f"{one}/".startswith(f"{layer}/") for layer in layers)
-            ]
+        view = self._view(command, env, cwd) if self.isolation.has_view else None
         return {"network": self.network, "raw": self.raw, "view": view}
+
+    def _view(self, command: Sequence[str], env: Mapping[str, str], cwd: str) -> dict[str, list[str]]:
+        written = {os.path.realpath(path) for path in self.writes}
+
+        def places(paths: Iterable[str]) -> set[str]:
+            """Return the places of paths that are there. Where the adapter may write it may have put a link to anything."""
+            return {
+                os.path.realpath(path) for path in paths if os.path.exists(path) and not _leads_through(path, written)
+            }
+
+        layers = places(path for path in (cwd, env.get("HOME", "")) if os.path.isdir(path)) - {"/"}
+        # Who starts an adapter with a path that leads to a socket means it.
+        meant = (word for word in command if word.startswith("/") and _is_socket(word))
+        # What the adapter writes below its working directory is its own, code as well.
+        code = (one for one in self.isolation.code() if not any(_is_below(one, layer) for layer in layers))
+        devices, folders = _needed(command, env, cwd, written)
+        reads = places((*self.reads, *meant, *devices, *code)) - written
+        return {
+            "reads": sorted(reads),
+            "needed": sorted(places(folders) - written - reads),
+            "writes": sorted(written),
+            "layers": sorted(layers),
+        }
 
     def saw(self, request: Mapping[str, Any], namespaces: Mapping[str, int]) -> None:
         """Make sure that the adapter that was started so is in the namespaces that it was to have.
@@ -284,19 +296,58 @@ class Walls:
         self.isolation.saw(namespaces, network=self.network, view=request["view"] is not None)
 
 
-def _needed(command: Sequence[str], env: Mapping[str, str], cwd: str) -> Iterator[str]:
-    """Return the paths in folders that are the adapter's own which must be there nevertheless: its programs, and what its command names."""
-    words = [word for text in (*command, *env.values()) for word in re.split("[=:,]", text)]
+def _needed(
+    command: Sequence[str], env: Mapping[str, str], cwd: str, written: Collection[str]
+) -> tuple[set[str], set[str]]:
+    """Return the paths in folders that are the adapter's own which must be there nevertheless: its programs, and what its command names.
+
+    Args:
+        written: folders in which it may write.
+
+    Returns:
+        Paths that are opened as they are, and others, below which nothing special is opened.
+    """
+    exact, beside = set[str](), set[str]()
+    texts = (*command, *(value for name, value in env.items() if name != "TMPDIR"))
+    words = [word for text in texts for word in re.split("[=:,]", text)]
     program = shutil.which(command[0], path=env.get("PATH")) or command[0]
     own = sorted({*_FOLDERS, os.environ.get("TMPDIR", _FOLDERS[0])}, key=len, reverse=True)
     for word in (*words, program, cwd, sys.prefix, sys.base_prefix, str(_KIT), *sys.path):
-        for path in {word, os.path.realpath(word)} if word.startswith("/") else ():
+        if not word.startswith("/") or _leads_through(word, written):
+            continue
+        for path in {word, os.path.realpath(word)}:
             folder = next((folder for folder in own if path.startswith(f"{folder}/")), None)
             if folder is not None:
                 # A program needs what lies beside it, as an environment of Python's does.
-                yield os.path.join(folder, path[len(folder) + 1 :].split("/")[0])
+                first = os.path.join(folder, path[len(folder) + 1 :].split("/")[0])
+                if os.path.isdir(first) or os.path.isfile(first):
+                    beside.add(first)
             elif path.startswith(_EXACT):
-                yield path
+                exact.add(path)
+    return exact, beside
+
+
+def _is_below(path: str, folder: str) -> bool:
+    return f"{path}/".startswith(f"{folder}/")
+
+
+def _leads_through(path: str, folders: Collection[str]) -> bool:
+    """Tell whether something in one of these folders decides where a path leads, link by link."""
+    parts, at, links = path.split("/")[::-1], "/", 0
+    while parts:
+        part = parts.pop()
+        if part in ("", "."):
+            continue
+        at = os.path.dirname(at) if part == ".." else os.path.join(at, part)
+        if any(at != folder and _is_below(at, folder) for folder in folders):
+            return True
+        if os.path.islink(at):
+            if (links := links + 1) > _MOST_LINKS:
+                return True
+            target = os.readlink(at)
+            parts += target.split("/")[::-1]
+            at = "/" if target.startswith("/") else os.path.dirname(at)
+    return False
 
 
 def _is_plain(folder: str) -> bool:

@@ -299,8 +299,7 @@ class _Watcher:
             os.chdir(cwd)
             if walled:
                 walls.give_up_privileges(raw=raw)
-            if network:
-                walls.keep_to_its_network()
+                walls.filter_calls(network=network)
             os.execvpe(command[0], command, env)  # noqa: S606
         except OSError as error:
             _fail(fail, failed=error.errno)
@@ -370,6 +369,7 @@ def _build(kit: socket.socket, cwd: str) -> tuple[int | None, set[int]]:
     hand = 0
     try:
         walls.enter_user()
+        walls.forbid_users()
         given.append(os.open("/proc/self/ns/user", os.O_RDONLY | os.O_CLOEXEC))
     except walls.RefusedError as error:
         refused = dict.fromkeys(("network", "view"), _refusal(error))
@@ -379,7 +379,7 @@ def _build(kit: socket.socket, cwd: str) -> tuple[int | None, set[int]]:
             ours.close()
             _be_hand(theirs)
         theirs.close()
-        said, descriptors, _, _ = socket.recv_fds(ours, 256, 1, socket.MSG_CMSG_CLOEXEC)
+        said, descriptors = walls.received(ours, 256, 1)
         if descriptors:
             given += [*descriptors, ours.detach()]
         else:
@@ -413,7 +413,7 @@ def _tried(cwd: str) -> Any:
         try:
             walls.unshare(walls.NEW_PROCESSES, "a process namespace")
             if (first := os.fork()) == 0:
-                walls.enclose(reads=[], writes=[], layers=[cwd] if cwd != "/" else [], cwd=cwd)
+                walls.enclose(reads=[], needed=[], writes=[], layers=[cwd] if cwd != "/" else [], cwd=cwd)
             else:
                 os.waitpid(first, 0)
         except OSError as error:
@@ -439,7 +439,7 @@ def _keep(kit: socket.socket, parent: int, network: int | None, staying: set[int
         ready, _, _ = select.select(watched, [], [])
         if parent in ready:
             return
-        word, descriptors, _, _ = socket.recv_fds(kit, 1, 4, socket.MSG_CMSG_CLOEXEC)
+        word, descriptors = walls.received(kit, 1, 4)
         if not word:
             return
         if word == b"S":

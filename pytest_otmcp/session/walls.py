@@ -7,6 +7,7 @@ life must not have a second thread. Nothing needs a privilege: a user namespace 
 
 from __future__ import annotations
 
+import array
 import ctypes
 import errno
 import fcntl
@@ -16,6 +17,7 @@ import socket
 import stat
 import struct
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 __all__ = [
     "NEW_NETWORK",
@@ -25,9 +27,11 @@ __all__ = [
     "enclose",
     "enter_network",
     "enter_user",
+    "filter_calls",
+    "forbid_users",
     "give_up_privileges",
     "join",
-    "keep_to_its_network",
+    "received",
     "serve_sockets",
     "unshare",
 ]
@@ -53,14 +57,12 @@ _TEMPORARY = ("/tmp", "/var/tmp", "/run")  # noqa: S108
 _NODES = ("null", "zero", "full", "random", "urandom", "tty")
 _EMPTY = "/proc/empty"
 _LINKS = {"fd": "/proc/self/fd", "stdin": "/proc/self/fd/0", "stdout": "/proc/self/fd/1", "stderr": "/proc/self/fd/2"}
-_SETTINGS = ("sys", "sysrq-trigger", "irq", "bus", "fs", "acpi", "scsi")
-"""Parts of ``/proc`` that a process of root's may write to without any privilege."""
 
-_CALLS = {"x86_64": (250, 41, 0xC000003E), "aarch64": (219, 198, 0xC00000B7)}
-"""Machine to its numbers of keyctl(2) and socket(2), and of its architecture as filters know it."""
-_RING = 425
+_CALLS = {"x86_64": (248, 41, 0xC000003E), "aarch64": (217, 198, 0xC00000B7)}
+"""Machine to its numbers of add_key(2), which request_key(2) and keyctl(2) follow, and of socket(2), and of its architecture as filters know it."""
+_KEYS, _RING = 3, 425
 _FAMILIES = (socket.AF_UNIX, socket.AF_INET, socket.AF_INET6, socket.AF_NETLINK, socket.AF_PACKET)
-_SECCOMP, _FILTER, _JOIN_SESSION_KEYRING = 22, 2, 1
+_SECCOMP, _FILTER = 22, 2
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -126,6 +128,19 @@ def enter_user() -> None:
             raise RefusedError(error.errno or 0, "a user namespace") from None
 
 
+def forbid_users() -> None:
+    """Have nothing in this user namespace make another one, in which it would have every privilege: over the control groups of the machine, for one.
+
+    Raises:
+        RefusedError: the machine refuses.
+    """
+    try:
+        with open("/proc/sys/user/max_user_namespaces", "w", encoding="ascii") as file:
+            file.write("0")
+    except OSError as error:
+        raise RefusedError(error.errno or 0, "a limit of user namespaces") from None
+
+
 def enter_network() -> None:
     """Enter a network namespace of one's own, in which there is loopback and nothing else.
 
@@ -152,17 +167,30 @@ def serve_sockets(asked: socket.socket) -> None:
             asked.sendall(bytes([error.errno or 255]))
 
 
+def received(channel: socket.socket, size: int, most: int) -> tuple[bytes, list[int]]:
+    """Return what was sent, and the descriptors with it, which no program inherits: Python's own ``recv_fds`` ignores the flag for that."""
+    descriptors = array.array("i")
+    data, ancillary, _, _ = channel.recvmsg(size, socket.CMSG_LEN(most * descriptors.itemsize), socket.MSG_CMSG_CLOEXEC)
+    for level, kind, content in ancillary:
+        if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
+            descriptors.frombytes(content[: len(content) - len(content) % descriptors.itemsize])
+    return data, list(descriptors)
+
+
 # -- processes and files --------------------------------------------------------------------------------------------
 
 
-def enclose(*, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str], cwd: str) -> None:
+def enclose(
+    *, reads: Sequence[str], needed: Sequence[str], writes: Sequence[str], layers: Sequence[str], cwd: str
+) -> None:
     """Give this process, the first of a new namespace of processes, a view of the machine of its own.
 
     Files are read-only. ``/tmp`` and its like, ``/run`` and ``/dev`` are its own and all but empty. Elsewhere pipes, Unix sockets and devices
     are there by name and lead nowhere: an overlay has such files of its own (Documentation/filesystems/overlayfs.rst).
 
     Args:
-        reads: paths that can be read although they lie in a folder that is its own; devices among them can be used.
+        reads: paths that can be read although they lie in a folder that is its own; devices, pipes and sockets among them can be used.
+        needed: folders that can be read although they lie in such a folder; what is special in them leads nowhere.
         writes: paths that are written to for good.
         layers: folders in which what is written lies above what is there, and ends with the processes.
         cwd: its working directory.
@@ -174,19 +202,22 @@ def enclose(*, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str
     _mount("none", "/", "", _RECURSIVE | _PRIVATE)
     nodes = {f"/dev/{name}": _held(f"/dev/{name}") for name in _NODES}
     mounted = [*_mounts()]
-    seen = {path: _held(path) for path in dict.fromkeys((*reads, *writes, *layers))}
+    seen = {path: _held(path) for path in dict.fromkeys((*reads, *needed, *writes, *layers))}
     # The machine lets this be done as long as nothing covers a part of its own /proc.
     _mount("proc", "/proc", "proc", _NOSUID | _NODEV | _NOEXEC)
     _set_flags("/", _READ_ONLY | _NO_SETUID | _NO_DEVICES)
-    _set_flags("/proc", 0, cleared=_READ_ONLY, recursive=False)
-    if os.geteuid() == 0:
-        _cover_settings()
+    if os.geteuid() != 0:
+        # Programs name their threads there; root would change settings and modes that are the whole machine's.
+        _set_flags("/proc", 0, cleared=_READ_ONLY, recursive=False)
     _veil(mounted, needed=(*seen, os.path.realpath(cwd)))
     _cover_folders()
     for path in sorted(seen, key=lambda one: one.count("/")):
         if path not in writes:
             _set_flags("", _READ_ONLY | _NO_SETUID, at=seen[path])
         _place(seen[path], path)
+        if path in needed and path not in layers and os.path.isdir(path):
+            with _empty_folder():
+                _lay_nothing_over(path)
         if path in layers and not any(_is_below(path, folder) for folder in writes):
             try:
                 _lay_over(path)
@@ -197,23 +228,29 @@ def enclose(*, reads: Sequence[str], writes: Sequence[str], layers: Sequence[str
                 _call("the end of a mount", "umount2", os.fsencode(path), _DETACH)
         os.close(seen[path])
     for path, tree in nodes.items():
+        # Of such a file system the modes of a device cannot be changed, which are those of the machine's own; it is written to all the same.
+        _set_flags("", _READ_ONLY | _NO_SETUID, at=tree)
         _place(tree, path)
         os.close(tree)
     os.chdir(cwd)
 
 
-def keep_to_its_network() -> None:
-    """Have this process, and all that comes of it, make sockets of the usual families alone (seccomp(2)).
+def filter_calls(*, network: bool) -> None:
+    """Have this process, and all that comes of it, make no call for what namespaces do not hold (seccomp(2)).
 
-    A namespace of networks does not hold all of them: ``AF_VSOCK`` reaches the host of a virtual machine. Rings of system calls (io_uring(7))
-    are refused, because they make sockets past the filter, and so are programs of another architecture. On a machine whose calls are not
-    known here, and by a kernel without filters, nothing is refused.
+    Keys (keyrings(7)) are those of whoever started the kit. Programs of another architecture are refused. On a machine whose calls are not known
+    here, and by a kernel without filters, nothing is refused.
+
+    Args:
+        network: it makes sockets of the usual families alone, as it has a network of its own: ``AF_VSOCK`` reaches the host of a virtual machine.
+            Rings of system calls (io_uring(7)) are refused, because they make sockets past the filter.
     """
     if (known := _CALLS.get(os.uname().machine)) is None:
         return
-    _, socket_number, architecture = known
+    first_of_keys, socket_number, architecture = known
     load, equal, and_, answer = 0x20, 0x15, 0x54, 0x06
     allow, fails = 0x7FFF0000, 0x00050000
+    refused = [*range(first_of_keys, first_of_keys + _KEYS), *([_RING] if network else ())]
     # Each step: code, steps to skip where it holds and where it does not, operand. Number, architecture and first argument of a call are at 0, 4, 16.
     steps = [
         (load, 0, 0, 4),
@@ -222,15 +259,17 @@ def keep_to_its_network() -> None:
         (load, 0, 0, 0),
         # The second set of calls of x86-64 has the same numbers with a bit of its own.
         (and_, 0, 0, 0xBFFFFFFF),
-        (equal, 0, 1, _RING),
-        (answer, 0, 0, fails | errno.ENOSYS),
-        (equal, 1, 0, socket_number),
-        (answer, 0, 0, allow),
-        (load, 0, 0, 16),
-        *((equal, len(_FAMILIES) - index, 0, family) for index, family in enumerate(_FAMILIES)),
-        (answer, 0, 0, fails | errno.EAFNOSUPPORT),
-        (answer, 0, 0, allow),
+        *(step for call in refused for step in ((equal, 0, 1, call), (answer, 0, 0, fails | errno.ENOSYS))),
     ]
+    if network:
+        steps += [
+            (equal, 1, 0, socket_number),
+            (answer, 0, 0, allow),
+            (load, 0, 0, 16),
+            *((equal, len(_FAMILIES) - index, 0, family) for index, family in enumerate(_FAMILIES)),
+            (answer, 0, 0, fails | errno.EAFNOSUPPORT),
+        ]
+    steps.append((answer, 0, 0, allow))
     filters = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *one) for one in steps))
     program = struct.pack("@HP", len(steps), ctypes.addressof(filters))
     _libc.prctl(_SECCOMP, ctypes.c_ulong(_FILTER), program, ctypes.c_ulong(0), ctypes.c_ulong(0))
@@ -239,15 +278,10 @@ def keep_to_its_network() -> None:
 def give_up_privileges(*, raw: bool = False) -> None:
     """Have what this process executes run without the privileges that it has in its namespaces, and never gain any (capabilities(7)).
 
-    It has a keyring of its own as well, and not that of whoever started the kit (session-keyring(7)).
-
     Args:
         raw: it keeps those of opening packet sockets and of setting interfaces up in its network, which holds nothing else.
     """
     _libc.prctl(_NO_NEW_PRIVS, ctypes.c_ulong(1), 0, 0, 0)
-    if (known := _CALLS.get(os.uname().machine)) is not None:
-        # A kernel without keys has none to protect.
-        _libc.syscall(known[0], _JOIN_SESSION_KEYRING, None)
     for capability in range(64):
         # It fails beyond the last one that the kernel knows.
         if not (raw and capability in _OF_A_CABLE):
@@ -291,18 +325,24 @@ def _veil(mounted: Sequence[str], needed: Sequence[str]) -> None:
             their parts.
         needed: paths that must stay visible; what cannot lie below a layer is covered otherwise.
     """
+    pending = ["/"]
+    with _empty_folder():
+        while pending:
+            try:
+                pending += _veiled(pending.pop(), mounted, needed)
+            except OSError as error:
+                # What was there a moment ago may have been removed.
+                if error.errno not in (errno.ENOENT, errno.ENOTDIR):
+                    raise
+
+
+@contextmanager
+def _empty_folder() -> Iterator[None]:
+    """Have a folder that is empty for ever as :data:`_EMPTY`: a layer holds it when no path leads to it any more. A folder that was removed is
+    none that can be listed, and neither were the layer then."""
     _mount("tmpfs", "/proc", "tmpfs", _NOSUID | _NODEV, "mode=700")
     os.mkdir(_EMPTY)
-    pending = ["/"]
-    while pending:
-        try:
-            pending += _veiled(pending.pop(), mounted, needed)
-        except OSError as error:
-            # What was there a moment ago may have been removed.
-            if error.errno not in (errno.ENOENT, errno.ENOTDIR):
-                raise
-    # A layer holds the folder, and nobody can put anything into one that has been removed.
-    os.rmdir(_EMPTY)
+    yield
     _call("the end of a mount", "umount2", b"/proc", _DETACH)
 
 
@@ -367,15 +407,6 @@ def _set_flags(path: str, flags: int, *, cleared: int = 0, at: int = _AT_FDCWD, 
         attributes,
         len(attributes),
     )
-
-
-def _cover_settings() -> None:
-    for name in _SETTINGS:
-        if os.path.isdir(path := f"/proc/{name}") or os.path.isfile(path):
-            tree = _held(path)
-            _set_flags("", _READ_ONLY, at=tree)
-            _place(tree, path)
-            os.close(tree)
 
 
 def _cover_folders() -> None:

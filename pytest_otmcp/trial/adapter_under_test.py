@@ -23,7 +23,7 @@ from urllib.parse import urlsplit
 
 from .. import __version__
 from ..core.errors import KitError, NoBindingError, NoHandleError, SubjectError, UsageError
-from ..core.files import new_file
+from ..core.files import new_file_below, remove_below
 from ..core.strict_json import parse_strict
 from ..core.text import recorded_name
 from ..core.tool_entry import TWICE
@@ -341,13 +341,11 @@ class AdapterUnderTest:
         files |= {name: content.encode() for name, content in launch.files.items()}
         withheld = [f"{_CREDENTIALS}/{name}.pem" for name in self._withheld]
         for name, content in files.items():
-            file = Path(self._work.name, name)
-            if name in withheld:
-                file.unlink(missing_ok=True)
-                continue
-            file.parent.mkdir(parents=True, exist_ok=True)
             # An earlier session of the adapter may have put something else there.
-            with new_file(file) as made:
+            if name in withheld:
+                remove_below(self._work.name, name)
+                continue
+            with new_file_below(self._work.name, name) as made:
                 made.write(content)
         options = SessionOptions(
             era="legacy" if self.legacy or self._by_handshake else self.adapter.era or self._options.era,
@@ -495,10 +493,20 @@ class AdapterUnderTest:
         except OSError:
             return io.BytesIO()
         found = os.fstat(file.fileno())
-        if stat.S_ISREG(found.st_mode) and found.st_nlink == 1:
+        if stat.S_ISREG(found.st_mode) and found.st_nlink == 1 and self._is_its_own(file):
             return file
         file.close()
         return io.BytesIO()
+
+    def _is_its_own(self, file: BinaryIO) -> bool:
+        """Tell whether an open log lies where its path says, if that is where the adapter may write: a link may have led elsewhere."""
+        assert self._work is not None
+        place = Path(os.readlink(f"/proc/self/fd/{file.fileno()}"))
+        return all(
+            place.is_relative_to(folder.resolve())
+            for folder in (Path(self._work.name), *self.adapter.openings.writes)
+            if self._log().is_relative_to(folder)
+        )
 
     async def _run(
         self, command: Sequence[str], more: Mapping[str, str] = MappingProxyType({})

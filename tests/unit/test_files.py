@@ -19,7 +19,7 @@ from pytest_otmcp.cli import Refusal
 from pytest_otmcp.cli.files import content
 from pytest_otmcp.cli.signature import signer
 from pytest_otmcp.core.errors import UsageError
-from pytest_otmcp.core.files import digest, new_file, read
+from pytest_otmcp.core.files import digest, new_file, new_file_below, read, remove_below
 from pytest_otmcp.record.reader import RecordError, open_record
 from pytest_otmcp.record.schema import SCHEMA
 from pytest_otmcp.record.writer import RunWriter, SampleSpool
@@ -32,6 +32,26 @@ Make = Callable[[Path], object]
 def bind(path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))
+
+
+@pytest.mark.parametrize("link", ["inner", "inner/deep", "inner/deep/file"])
+def test_a_link_leads_no_new_file_out_of_its_folder(tmp_path: Path, link: str) -> None:
+    outside, folder = tmp_path / "outside", tmp_path / "folder"
+    (outside / "deep").mkdir(parents=True)
+    for precious in (outside / "file", outside / "deep" / "file"):
+        precious.write_bytes(b"precious")
+    (folder / link).parent.mkdir(parents=True)
+    target = outside if link == "inner" else outside / "deep" if link == "inner/deep" else outside / "file"
+    (folder / link).symlink_to(target)
+    with new_file_below(folder, "inner/deep/file") as file:
+        file.write(b"new")
+    assert (folder / "inner" / "deep" / "file").read_bytes() == b"new"
+    (folder / "inner" / "deep" / "file").unlink()
+    (folder / "inner" / "deep").rmdir()
+    (folder / "inner" / "deep").symlink_to(outside)
+    remove_below(folder, "inner/deep/file")
+    assert not (folder / "inner" / "deep" / "file").exists()
+    assert [path.read_bytes() for path in (outside / "file", outside / "deep" / "file")] == [b"precious"] * 2
 
 
 NO_FILES: dict[str, Make] = {

@@ -232,6 +232,19 @@ async def test_what_a_connection_brings_after_the_end_of_its_session_is_of_a_for
     assert [entry["seq"] for entry in judged(found)] == [found[0]["seq"], found[2]["seq"]]
 
 
+async def test_a_descendant_with_the_token_of_a_session_that_is_over_is_of_the_one_that_runs(device: Device) -> None:
+    device.sessions.expect()
+    over, running = new_token(), new_token()
+    async with client(device, token=over) as adapter:
+        device.sessions.begin(over, lambda: None)
+        device.sessions.end(over)
+        device.sessions.begin(running, lambda: adapter.pid)
+        await told(adapter, "connect")
+        await told(adapter, "send", WRITE)
+        (request,) = await requests(device, 1)
+    assert request["origin"] == "client"
+
+
 async def test_entries_of_strangers_are_not_what_is_waited_for(device: Device) -> None:
     device.sessions.expect()
     token = new_token()

@@ -241,6 +241,86 @@ def test_code_without_special_files_needs_no_layer_after_some_starts(
     assert (seen[-1] == own) == (special is None)
 
 
+OF_A_START = """
+import json, os, socket, sys
+folder = sys.argv[1]
+told = {"descriptors": len(os.listdir("/proc/self/fd")) - 1, "listed": sorted(os.listdir(folder))}
+libc = __import__("ctypes").CDLL(None, use_errno=True)
+told["user namespace"] = libc.unshare(0x10000000) == 0
+try:
+    os.chmod("/dev/null", os.stat("/dev/null").st_mode & 0o777)
+    told["mode of a device"] = True
+except OSError:
+    told["mode of a device"] = False
+with open("/dev/null", "w") as nowhere:
+    told["null"] = nowhere.write("x")
+try:
+    os.chmod("/proc/version", 0o444)
+    told["mode in /proc"] = True
+except OSError:
+    told["mode in /proc"] = False
+try:
+    socket.socket(socket.AF_UNIX).connect(f"{folder}/socket")
+    told["socket"] = True
+except OSError:
+    told["socket"] = False
+print(json.dumps(told), flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_start_hands_nothing_on(tmp_path: Path) -> None:
+    isolation = isolation_or_skip()
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder, socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(f"{folder}/socket")
+        listening.listen()
+        Path(folder, "file").touch()
+        try:
+            told = asyncio.run(_start(isolation.walls(), [sys.executable, "-c", OF_A_START, folder], tmp_path))
+        finally:
+            isolation.close()
+    assert told == {
+        # Standard streams.
+        "descriptors": 3,
+        "listed": ["file", "socket"],
+        "user namespace": False,
+        "mode of a device": False,
+        "null": 1,
+        "mode in /proc": False,
+        "socket": False,
+    }
+
+
+@pytest.mark.parametrize("through", ["link", "folder/link", "named"])
+def test_a_link_that_an_adapter_made_opens_nothing(tmp_path: Path, through: str) -> None:
+    isolation = isolation_or_skip()
+    written = tmp_path / "written"
+    (written / "folder").mkdir(parents=True)
+    with tempfile.TemporaryDirectory(dir=HERE) as folder, socket.socket(socket.AF_UNIX) as listening:
+        place = f"{folder}/s"
+        # Its path is long: it is bound from its folder.
+        before = os.getcwd()
+        os.chdir(folder)
+        try:
+            listening.bind("s")
+        finally:
+            os.chdir(before)
+        listening.listen()
+        for link in (written / "link", written / "folder" / "link"):
+            link.symlink_to(place)
+        (tmp_path / "named").symlink_to("written/link")
+        named = tmp_path / "named" if through == "named" else written / through
+        walls = isolation.walls()
+        assert walls is not None
+        try:
+            request = walls.open_to(reads=(), writes=[str(written)]).request([sys.executable, str(named)], {}, "/")
+            meant = walls.request([sys.executable, str(named)], {}, "/")
+        finally:
+            isolation.close()
+    assert place not in request["view"]["reads"]
+    assert place in meant["view"]["reads"]
+
+
 NOT_OF_A_NETWORK = """
 import ctypes, json, socket, sys
 libc = ctypes.CDLL(None, use_errno=True)
@@ -380,8 +460,11 @@ def test_a_home_with_a_mount_below_is_read_only_and_what_no_overlay_can_cover_is
         for part in ("home", "lower"):
             (folder / part / "file").touch()
         done = subprocess.run(
-            [unshare, "--map-current-user", "--keep-caps", "--mount", "sh", "-c", MOUNTED, "sh", name]
-            + [sys.executable, "-c", LOOKING_AROUND, name],
+            [
+                *(unshare, "--map-current-user", "--keep-caps", "--mount"),
+                *("sh", "-c", MOUNTED, "sh", name),
+                *(sys.executable, "-c", LOOKING_AROUND, name),
+            ],
             cwd=HERE.parents[1],
             capture_output=True,
             text=True,
