@@ -302,6 +302,8 @@ def _shown(reply: Reply, entries: Sequence[JournalEntry], inputs: Mapping[str, o
     if reply.success and protocols()[reply.adapter].operations[reply.operation].writes:
         changed = sum(entry["state_changing"] for entry in entries)
         yield f"device: it saw {changed or 'no'} request{'' if changed == 1 else 's'} that change{'s' if changed == 1 else ''} its state"
+        if not changed:
+            yield "They contradict each other."
     yield from _wrapped("request frame", _frame(reply.exchange.request), width)
     yield from _wrapped("response frame", _frame(reply.exchange.response), width)
 

@@ -114,7 +114,7 @@ def _derived(
 ) -> Examined:
     _check_kit(path, stored.header["kit"], stored.header["subject"]["adapters"])
     if "digest" not in stored.footer:
-        raise Refusal(f"refused: {path} was not sealed: {stored.footer['reason']}")
+        raise Refusal(f"refused: {path} was not sealed: {stored.footer['reason']}, or the file is not whole")
     run = condensed(stored)
     tasks = tasks_by_id(run["subject"]["adapters"], run["settings"]["suites"], run["settings"].get("devices", ()))
     why_none = objections(run, tasks)

@@ -23,11 +23,17 @@ def size(path: Path, largest: int) -> int:
         Refusal: it is larger than any of its kind.
     """
     if not path.is_file():
-        raise UsageError(f"{path}: {'this is no regular file' if path.exists() else 'there is no such file'}")
+        raise UsageError(f"{path}: {_no_file(path)}")
     found = path.stat().st_size
     if found > largest:
         raise Refusal(f"refused: {path} has {found} bytes, more than {largest}")
     return found
+
+
+def _no_file(path: Path) -> str:
+    if path.is_dir():
+        return "this is a folder and no regular file; name the file in it"
+    return "this is no regular file" if path.exists() else "there is no such file"
 
 
 def content(path: Path, largest: int) -> bytes:

@@ -43,6 +43,9 @@ from .writer import ITEMS_LINE, NOT_ENDED
 __all__ = ["RecordError", "StoredItem", "StoredRun", "load", "open_record"]
 
 _FIRST_LINE = b'{"schema": "' + SCHEMA.encode() + b'",\n'
+_LOOKED_AT = 200
+_NO_RECORDS = {b"<!DOCTYPE html>": "a page for people", b"https://in-toto.io/": "a certificate"}
+"""What the first bytes of other files of the kit have in them, to what these are."""
 _HEAD_ENDS = b'"samples": [\n'
 _BLOCK = 1 << 20
 _KEPT = 100
@@ -226,8 +229,17 @@ def load(path: Path, *, allow_incomplete: bool = False) -> Run:
 
 def _read(file: BinaryIO, sha256: str, *, allow_incomplete: bool) -> StoredRun:
     file.seek(0)
-    if file.readline() != _FIRST_LINE:
-        raise RecordError(f"not a run record of schema {SCHEMA} in the lines in which the kit writes it")
+    if (first := file.readline(_LOOKED_AT)) != _FIRST_LINE:
+        begins = first + file.read(_LOOKED_AT)
+        beside = next(
+            (
+                f": it is {what}, and run.json beside it is the record"
+                for mark, what in _NO_RECORDS.items()
+                if mark in begins
+            ),
+            "",
+        )
+        raise RecordError(f"not a run record of schema {SCHEMA} in the lines in which the kit writes it{beside}")
     scanner = _Scanner(file, allow_incomplete=allow_incomplete)
     scanner.scan()
     return StoredRun(scanner.header, scanner.footer, (_Chain(file, scanner.parts), scanner.parts), sha256=sha256)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..record.condensed import condensed
 from ..record.reader import open_record
-from . import Run, applies
+from . import Run
 from .causes import causes
 
 __all__ = ["Baseline", "changes", "read_baseline", "since"]
@@ -48,17 +48,18 @@ def read_baseline(path: Path) -> Baseline:
 
 
 def changes(baseline: Baseline, run: Run) -> dict[str, list[tuple[str, str]]]:
-    """Return the rules, each with its protocol, that are newly broken, mended, and not asked for again.
+    """Return the rules, each with its protocol, that are newly broken, mended, and neither of both.
 
-    A rule counts as mended only where every item that showed the fault was run again and applies.
+    A rule counts as mended only where every item that showed the fault was run again and passed: one that failed for another reason may
+    have ended before it asked.
     """
     broken = [(one.rule, one.family) for one in causes(run)]
-    ran = {item["id"] for item in run["items"] if applies(item)}
-    mended = [name for name, items in baseline.broken.items() if name not in broken and ran.issuperset(items)]
+    passed = {item["id"] for item in run["items"] if item["status"] == "PASS"}
+    mended = [name for name, items in baseline.broken.items() if name not in broken and passed.issuperset(items)]
     return {
         "new": [name for name in broken if name not in baseline.broken],
         "mended": mended,
-        "not asked again": [name for name in baseline.broken if name not in broken and name not in mended],
+        "not shown again": [name for name in baseline.broken if name not in broken and name not in mended],
     }
 
 

@@ -40,15 +40,11 @@ def certificate_page(certificate: Mapping[str, Any], sha256: str, *, signed: boo
             ("certificate.json", sha256),
         ],
         shown=[
-            (protocols()[protocol].name, list(facts["facets"]["earned"]), facts["outputs_not_judged"])
+            (protocols()[protocol].name, list(facts["facets"]["earned"]))
             for protocol, facts in told["adapters"].items()
         ],
         warnings=told["warnings"],
-        not_claimed=[
-            (protocols()[protocol].name, name, reason)
-            for protocol, facts in told["adapters"].items()
-            for name, reason in facts["facets"]["not_claimed"].items()
-        ],
+        not_tested=list(_not_tested(told)),
         limits=told["limits"],
         wheel=f"{kit[0]['name'].replace('-', '_').replace(' ', '-')}-py3-none-any.whl",
         signed=signed,
@@ -64,10 +60,22 @@ def _row(protocol: str, facts: Mapping[str, Any], told: Mapping[str, Any]) -> di
         "level": "no level" if level is None else level.capitalize(),
         "meaning": _meaning(level),
         "passed": f"{count['passed']} of {count['of']} {name} items"
-        + (" (the others ask for what it does not offer)" if count["passed"] < count["of"] else ""),
+        + (" (what was not tested stands below)" if count["passed"] < count["of"] else ""),
         "deadline": f"every call within {facts['deadline_s']:g} s",
         "server": " ".join(filter(None, (facts["server"]["name"], facts["server"]["version"]))),
     }
+
+
+def _not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield what the run says nothing about: whose it is, what, and why not."""
+    for protocol, facts in told["adapters"].items():
+        name, facets = protocols()[protocol].name, facts["facets"]
+        yield from (
+            (name, facet, f"the vendor does not claim it: {why}") for facet, why in facets["not_claimed"].items()
+        )
+        yield from ((name, facet, "claimed, and no item needed it") for facet in facets["claimed_not_exercised"])
+        yield from ((name, output, "not found in its answers") for output in facts["outputs_not_judged"])
+    yield from (("", item, why) for item, why in told["not_applicable"].items())
 
 
 def _programs(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

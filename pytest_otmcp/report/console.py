@@ -25,6 +25,7 @@ from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
 from .families import apart
 from .findings import beside, subject_keys
+from .limits import partial
 from .overview import deviations, requirements
 from .strangers import strangers
 from .text import at_least, count, counted, printable, shortened
@@ -73,7 +74,7 @@ def summary(
         lines += time_budget(run, width)
     if verbosity >= 0:
         lines += [*_levels(run, width), *_narrowed(run, width), *_not_measured(run, width), *_strangers(run, width)]
-        lines += _walls(run, width)
+        lines += [*_walls(run, width), *_partial(run, width)]
     if verbosity >= -1:
         lines += _rows(run, width)
     return [*lines, *_verdict(run, width if fold_verdict else None, baseline)]
@@ -215,6 +216,12 @@ def _levels(run: Run, width: int) -> Iterator[Line]:
         told = [not_shown(run["items"])]
     for text in told:
         for line in wrapped(f"level: {text}", width, "  "):
+            yield line, "plain"
+
+
+def _partial(run: Run, width: int) -> Iterator[Line]:
+    if partial(run):
+        for line in wrapped("note: a partial pass; report.html says what it does not cover", width, "  "):
             yield line, "plain"
 
 

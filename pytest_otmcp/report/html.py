@@ -17,8 +17,8 @@ from ..suite.places import address
 from ..suite.requirements import Level, catalogue, requirements
 from ..suite.spoken import of_spoken, spoken, tell
 from . import Item, Run, applies, command, deadlines, overview, tally, timing_valid
-from .applying import not_applying, nothing_asked
-from .capabilities import Grade, earned
+from .applying import nothing_asked
+from .capabilities import earned
 from .causes import Cause, causes, extent, remedy, without_cause
 from .causes import rows as told_of
 from .drawings import latencies, recovery, strip, suite_strip
@@ -26,7 +26,7 @@ from .evidence import failures
 from .families import spoken_families
 from .findings import subject_keys
 from .identity import identity
-from .limits import narrowed
+from .limits import narrowed, partial
 from .page import filled
 from .strangers import strangers
 
@@ -47,7 +47,7 @@ _QUESTIONS = {
     "recovery": "How soon does it notice an outage, and how soon is it back?",
 }
 _SENTENCES = {
-    "CONFORMANT": "Every item passed every repetition, and the devices agree with what the adapter said.",
+    "CONFORMANT": "Every item that applies passed every repetition, and the devices agree with what the adapter said.",
     "NOT CONFORMANT": "The adapter failed. Each cause is below: what was asked, what was said, what the device saw, what to change.",
     "INDETERMINATE": "This run says nothing about the adapter: the kit itself failed.",
     "INCOMPLETE": "Not everything ran, so this run proves nothing yet.",
@@ -92,7 +92,7 @@ def page(run: Run, certificate: str | None = None) -> str:
         verdict=verdict,
         tone=_TONES.get(verdict, "open"),
         sentence=_nothing_asked(run) or _SENTENCES.get(verdict, ""),
-        partial=verdict == "CONFORMANT" and _partial(run),
+        partial=partial(run),
         counts=counts,
         counted=tell(counts),
         level=in_words(standings(catalogue(), run["items"], run["subject"]["adapters"])),
@@ -148,16 +148,6 @@ def _levels(run: Run) -> list[tuple[str, list[str]]]:
     """Return a line for each protocol with what is missing for its next level; none without the requirement suite."""
     rows = catalogue()
     return [(said(one), shown(one, rows)) for one in standings(rows, run["items"], run["subject"]["adapters"])]
-
-
-_LESS = (Grade.NOT_CLAIMED, Grade.NOT_ASKED, Grade.UNDECIDED)
-
-
-def _partial(run: Run) -> bool:
-    """Tell whether a pass says less than it could: a wall was missing, something narrowed the run, or a capability is not shown."""
-    grades = [one.grade for _, by_family in earned(run) for one in by_family.values()]
-    reasons = len(narrowed(run)) > bool(not_applying(run))
-    return reasons or bool(missing(run["environment"].get("walls", {}))) or any(grade in _LESS for grade in grades)
 
 
 def _cards(found: Iterable[Cause]) -> Iterator[tuple[Cause, list[str]]]:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from ..core.matrix import BENCHMARK
+from ..core.matrix import BENCHMARK, REQUIREMENTS
 from ..core.statistics import lower_bound
+from ..core.verdict import Verdict
+from ..core.walls import missing as missing_walls
 from ..protocols.external import used
 from . import Run, timing_valid
 from .applying import not_applying
+from .capabilities import Grade, earned
 from .text import at_least
 
-__all__ = ["narrowed"]
+__all__ = ["narrowed", "partial"]
 
+_LESS = (Grade.NOT_CLAIMED, Grade.NOT_ASKED, Grade.UNDECIDED)
 _FULL = 30
 """Repetitions of the whole matrix."""
 
@@ -49,3 +53,18 @@ def narrowed(run: Run) -> list[str]:
     if not timing_valid(run):
         reasons.append("Items ran in parallel: latencies would measure the neighbours too, and are withheld.")
     return reasons
+
+
+def partial(run: Run) -> bool:
+    """Tell whether a run passed and says less than it could: no level, a wall was missing, something narrowed it, or a capability is not shown."""
+    if run["footer"].get("verdict") != Verdict.CONFORMANT:
+        return False
+    grades = [one.grade for _, by_family in earned(run) for one in by_family.values()]
+    reasons = len(narrowed(run)) > bool(not_applying(run))
+    no_level = REQUIREMENTS not in run["settings"].get("suites", BENCHMARK)
+    return (
+        no_level
+        or reasons
+        or bool(missing_walls(run["environment"].get("walls", {})))
+        or any(grade in _LESS for grade in grades)
+    )

@@ -21,7 +21,7 @@ from .capabilities import earned
 from .causes import causes, extent, rows, without_cause
 from .families import spoken_families
 from .findings import subject_keys
-from .limits import narrowed
+from .limits import narrowed, partial
 from .overview import deviations, tasks
 from .strangers import strangers
 from .text import printable
@@ -81,6 +81,7 @@ def summary(run: Run) -> str:
         *(f"- warning: {code(said(one))}" for one in warnings(items)),
         *(f"- level: {escape(told)}" for told in _levels(run)),
         *(f"- deadlines of a call: {escape(told)}" for told in [deadlines(run)] if told),
+        *(["- A partial pass: see what was earned, and the lines below."] if partial(run) else []),
         *(f"- {escape(reason)}" for reason in narrowed(run)),
         *(f"- Note: {escape(sentence)}." for sentence in strangers(run)),
         *(

@@ -17,6 +17,7 @@ from ..suite.spoken import spoken, tell
 from . import Run
 from .baseline import Baseline, changes
 from .causes import causes
+from .limits import partial
 from .overview import deviations
 
 __all__ = ["properties", "verdict", "write_verdict"]
@@ -27,13 +28,14 @@ SCHEMA = "otmcp-verdict/1"
 def verdict(run: Run, baseline: Baseline | None = None) -> dict[str, Any]:
     """Return what a program reads.
 
-    ``items`` counts those about each protocol that the subject speaks. ``levels`` has the level of each protocol, None for none; it is empty without the requirement suite. ``causes`` are the rules that are
+    ``partial`` tells whether a pass says less than it could. ``items`` counts those about each protocol that the subject speaks. ``levels`` has the level of each protocol, None for none; it is empty without the requirement suite. ``causes`` are the rules that are
     broken, in the order of the suite, each with the code of its first finding (``cannot_start``, ``wrong_value``, …) and the items that it
     touches. ``narrowed`` says what took something away from the suite. ``since`` says what has changed since the baseline, None without one.
     """
     return {
         "schema": SCHEMA,
         "verdict": run["footer"].get("verdict", "INCOMPLETE"),
+        "partial": partial(run),
         "complete": run["footer"]["complete"],
         "reason": run["footer"].get("reason"),
         "subject": {key: run["subject"][key] for key in ("name", "version", "digest")},

@@ -28,6 +28,11 @@ class Template(Kind):
         if isinstance(value, str) and value.startswith("$") and "." not in value and value[1:] not in self.inputs:
             known = ", ".join(f"${name}" for name in self.inputs) or "none"
             raise Refusal(key, f"{value} is no input of this operation; its inputs are: {known}")
+        if isinstance(value, str) and any(f"${name}" in value[1:] for name in self.inputs):
+            raise Refusal(
+                key,
+                f"{value!r} would be sent as it is: an input stands alone, and what is composed of one takes a function (bindings)",
+            )
         if isinstance(value, dict):
             for name, member in value.items():
                 self._check(member, f"{key}.{name}")

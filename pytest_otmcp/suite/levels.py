@@ -34,7 +34,7 @@ from .requirements import Catalogue, Level, Requirement
 
 __all__ = ["Standing", "in_words", "not_shown", "said", "shown", "standing", "standings"]
 
-_NOT_ASKED = "none is shown without the requirement suite; otmcp certify runs it beside the benchmark"
+_NOT_ASKED = "none is shown without the requirement suite, and no permission to connect follows; otmcp certify runs it beside the benchmark"
 _IN_FIELD = "none is shown by a field record, which is made at a real device, and it earns no certificate"
 
 _NAMED = 5

@@ -209,7 +209,11 @@ NOT_HELD = [
         2,
         "{}certificate.json.sig: there is no such file",
     ),
-    (lambda directory: no_certificate(directory, Path.mkdir), 2, "{}certificate.json: this is no regular file"),
+    (
+        lambda directory: no_certificate(directory, Path.mkdir),
+        2,
+        "{}certificate.json: this is a folder and no regular file; name the file in it",
+    ),
     (lambda directory: no_certificate(directory, os.mkfifo), 2, "{}certificate.json: this is no regular file"),
     (
         lambda directory: no_certificate(directory, lambda path: path.symlink_to("/dev/zero")),

@@ -1,4 +1,4 @@
-"""What is new since an earlier run is said by rule, and nothing is called mended that was not asked again."""
+"""What is new since an earlier run is said by rule, and nothing is called mended that was not shown again."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ BROKEN = ("WR-003", "Modbus")
         ({}, [written_twice()], "1 new (WR-003 Modbus)"),
         ({BROKEN: ("M3",)}, [written_twice()], "nothing has changed"),
         ({("RD-001", "Modbus"): ("M1",)}, ALL, "1 mended (RD-001 Modbus)"),
-        ({("RD-001", "Modbus"): ("M1", "WR-003.modbus")}, ALL, "1 not asked again (RD-001 Modbus)"),
-        ({(f"ADR-00{n}", "MQTT"): ("none",) for n in range(7)}, [], "7 not asked again (ADR-000 MQTT, ADR-001 MQTT, ADR-002 MQTT, "
+        ({("RD-001", "Modbus"): ("M1", "WR-003.modbus")}, ALL, "1 not shown again (RD-001 Modbus)"),
+        ({(f"ADR-00{n}", "MQTT"): ("none",) for n in range(7)}, [], "7 not shown again (ADR-000 MQTT, ADR-001 MQTT, ADR-002 MQTT, "
          "ADR-003 MQTT, ADR-004 MQTT, 2 more)"),
     ],
 )  # fmt: skip
-def test_a_rule_is_new_mended_or_not_asked_again(
+def test_a_rule_is_new_mended_or_not_shown_again(
     before: dict[tuple[str, str], tuple[str, ...]], now: list[Any], said: str
 ) -> None:
     ran = run(now)
@@ -51,5 +51,5 @@ def test_a_program_reads_what_has_changed() -> None:
         "suite_digest": "sha256:0",
         "new": [{"rule": "WR-003", "protocol": "Modbus"}],
         "mended": [],
-        "not_asked_again": [{"rule": "RD-001", "protocol": "Modbus"}],
+        "not_shown_again": [{"rule": "RD-001", "protocol": "Modbus"}],
     }

@@ -52,7 +52,7 @@ def test_what_is_not_claimed_is_there_with_the_reason_of_the_vendor_and_none_of_
 ) -> None:
     facets = statement["predicate"]["otmcp"]["adapters"]["modbus"]["facets"]
     facets["not_claimed"] = {"ping": "<img src=x onerror=alert(1)>"}
-    assert "Modbus, ping : <img src=x onerror=alert(1)>" in shown(statement)
+    assert "Modbus, ping : the vendor does not claim it: <img src=x onerror=alert(1)>" in shown(statement)
     assert "<img" not in certificate_page(statement, DIGEST, signed=False)
 
 
@@ -107,4 +107,17 @@ def test_what_the_items_used_and_what_they_did_not_read_is_named(statement: dict
     facts["facets"]["earned"], facts["outputs_not_judged"] = {"ping": ["M1"], "write_coil": ["WR-001.modbus"]}, []
     assert "Modbus: ping , write_coil ." in shown(statement)
     facts["outputs_not_judged"] = ["write_coil.value"]
-    assert "Not judged in its answers: write_coil.value ." in shown(statement)
+    assert "Modbus, write_coil.value : not found in its answers" in shown(statement)
+
+
+def test_what_was_not_tested_stands_above_the_digests(statement: dict[str, Any]) -> None:
+    told = statement["predicate"]["otmcp"]
+    told["adapters"]["modbus"]["facets"]["claimed_not_exercised"] = ["publish.qos"]
+    told["not_applicable"] = {"WR-014.modbus": "the subject file has no named commands"}
+    words = shown(statement)
+    for told_of in (
+        "Modbus, publish.qos : claimed, and no item needed it",
+        "WR-014.modbus : the subject file has no named commands",
+    ):
+        assert words.index("What was not tested") < words.index(told_of) < words.index("What was tested")
+    assert "Whoever shows this certificate ran the kit, at simulated devices. It is not signed;" in words

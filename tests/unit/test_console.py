@@ -189,7 +189,10 @@ def test_a_run_of_the_requirement_suite_says_the_level_of_each_protocol_in_a_lin
         r"^level: Modbus: no level; for Bronze: 1 row violated \(RD-001\); 49 rows not shown ", shown, re.MULTILINE
     )
     assert len(re.findall(r"^level: ", shown, re.MULTILINE)) == 3
-    assert "level: none is shown without the requirement suite; otmcp certify runs it" in text(run(ALL))
+    assert (
+        "level: none is shown without the requirement suite, and no permission to connect follows; otmcp certify runs it"
+        in text(run(ALL))
+    )
     # Of a run that failed nobody expects a level.
     assert "level:" not in text(run([written_twice()]))
 

@@ -416,10 +416,10 @@ def test_the_first_lines_say_which_run_it_is() -> None:
     shown = Page(page(record)).text
     assert (
         "Date 2026-11-21 07:03 UTC Duration 1.0 s Kit pytest-otmcp 0.0.0 Repetitions N = 30 "
-        "MCP revision 2026-07-28 Transport streamable HTTP, stdio Every item passed"
+        "MCP revision 2026-07-28 Transport streamable HTTP, stdio Every item that applies passed"
     ) in shown
     # A record of an earlier kit does not say how it spoke to the adapters.
-    assert "Transport — Every item passed" in Page(page(run([M1]))).text
+    assert "Transport — Every item that applies passed" in Page(page(run([M1]))).text
 
 
 def of_every_protocol() -> dict[str, Any]:
@@ -676,7 +676,10 @@ def test_a_run_of_the_requirement_suite_has_a_section_about_levels() -> None:
     assert "Modbus: no level; for Bronze: 50 rows not shown (" in shown.text
     benchmark = Page(page(run([M1])))
     assert "levels" not in benchmark.values("id")
-    assert "Level: none is shown without the requirement suite; otmcp certify runs it" in benchmark.text
+    assert (
+        "Level: none is shown without the requirement suite, and no permission to connect follows; otmcp certify runs it"
+        in benchmark.text
+    )
     assert "none is shown" not in shown.text
 
 
