@@ -107,7 +107,8 @@ def _meaning(level: str | None) -> str:
     if level is None:
         return "has earned no level, which would say what a plant may ask of it"
     earned = Level(level)
-    return " and ".join(each.meaning for each in Level if each.rank <= earned.rank)
+    *before, last = [each.meaning for each in Level if each.rank <= earned.rank]
+    return f"{', '.join(before)}{', and ' if before else ''}{last}"
 
 
 def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -39,7 +39,7 @@ def test_it_names_the_adapter_and_every_digest(statement: dict[str, Any]) -> Non
 def test_a_level_is_said_with_what_it_allows(statement: dict[str, Any]) -> None:
     told = statement["predicate"]["otmcp"]
     count = told["items"]["Modbus"]
-    allowed = "may be connected to a plant for reading and may write there while a person watches"
+    allowed = "may be connected to a plant for reading, and may write there while a person watches"
     assert f"Modbus: Silver This adapter {allowed}. It passed {count['passed']} of {count['of']} Modbus items" in shown(
         statement
     )
