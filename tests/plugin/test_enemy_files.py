@@ -268,7 +268,8 @@ def test_what_is_no_file_is_not_opened(
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "nowhere").symlink_to(tmp_path / "none")
     no_file, nothing = "this is no regular file", "there is no such file"
-    others = {tmp_path / "pipe": no_file, tmp_path: no_file, Path("/dev/zero"): no_file, tmp_path / "nowhere": nothing}
+    folder = "this is a folder and no regular file; name the file in it"
+    others = {tmp_path / "pipe": no_file, tmp_path: folder, Path("/dev/zero"): no_file, tmp_path / "nowhere": nothing}
     for other, why in others.items():
         for files in ([other], [other, path], [path, other]):
             assert main([command, *map(str, files)]) == 2
