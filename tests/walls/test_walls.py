@@ -228,6 +228,8 @@ def test_code_without_special_files_needs_no_layer_after_some_starts(
         if special is not None:
             special(code / "package" / "pipe")
         monkeypatch.setattr("sysconfig.get_path", lambda kind: str(code))
+        # What lies below the home of whoever runs this has a layer.
+        monkeypatch.setenv("HOME", str(tmp_path))
         isolation = isolation_or_skip()
         look = f"import json, os, sys; print(json.dumps({{'device': os.stat({str(code)!r}).st_dev}}), flush=True); sys.stdin.read()"
         try:
