@@ -302,8 +302,9 @@ def _shown(reply: Reply, entries: Sequence[JournalEntry], inputs: Mapping[str, o
     if reply.success and protocols()[reply.adapter].operations[reply.operation].writes:
         changed = sum(entry["state_changing"] for entry in entries)
         yield f"device: it saw {changed or 'no'} request{'' if changed == 1 else 's'} that change{'s' if changed == 1 else ''} its state"
-        if not changed:
-            yield "They contradict each other."
+        # Where outputs are exchanged in cycles, a value that was there before changes nothing.
+        if not any(entry["request"] for entry in entries):
+            yield "reply and device contradict each other"
     yield from _wrapped("request frame", _frame(reply.exchange.request), width)
     yield from _wrapped("response frame", _frame(reply.exchange.response), width)
 

@@ -87,6 +87,20 @@ def test_a_write_shows_the_request_that_changed_the_device(capsys: pytest.Captur
 
 
 @pytest.mark.long
+def test_a_claim_of_a_write_that_reached_nothing_is_called_a_contradiction(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    genuine, lying = '"pytest_otmcp.reference_adapters", "modbus"', '"pytest_otmcp.reference_adapters.defects", "MU-14"'
+    (here / "otmcp.toml").write_text(MODBUS)
+    _, shown, _ = called(capsys, "write_holding", "address=1", "value=77")
+    assert "contradict" not in shown
+    assert genuine in MODBUS
+    (here / "otmcp.toml").write_text(MODBUS.replace(genuine, lying))
+    _, shown, _ = called(capsys, "write_holding", "address=1", "value=77")
+    assert "reply and device contradict each other" in shown.splitlines()
+
+
+@pytest.mark.long
 def test_a_refused_write_ends_with_1_and_shows_that_nothing_reached_the_device(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

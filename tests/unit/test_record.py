@@ -242,6 +242,19 @@ def test_an_edited_record_is_refused(tmp_path: Path) -> None:
         load(path)
 
 
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        ("<!DOCTYPE html>\n<html lang='en'>", "it is a page for people, and run.json beside it is the record"),
+        ('{\n "_type": "https://in-toto.io/Statement/v1"', "it is a certificate, and run.json beside it is the record"),
+    ],
+)
+def test_another_file_of_the_kit_is_named(tmp_path: Path, content: str, what: str) -> None:
+    (tmp_path / "other").write_text(content)
+    with pytest.raises(RecordError, match=f"not a run record of schema otmcp-run/3 .*: {what}"):
+        load(tmp_path / "other")
+
+
 def test_a_record_that_was_formatted_anew_is_refused(tmp_path: Path) -> None:
     path = store(tmp_path / "run.json", run(ITEMS))
     path.write_text(json.dumps(json.loads(path.read_text()), indent=2))

@@ -333,6 +333,10 @@ REFUSED = {
         FOREIGN + 'bind = { ping = { tool = "x", arguments = { a = "$adress" } } }\n',
         "adapter.modbus.bind.ping.arguments.a: $adress is no input of this operation; its inputs are: none",
     ),
+    "input within a text": (
+        FOREIGN + 'bind = { read_holding = { tool = "x", arguments = { at = ["H$address"] } } }\n',
+        "adapter.modbus.bind.read_holding.arguments.at: 'H$address' would be sent as it is: an input stands alone",
+    ),
     "no tool": (FOREIGN + "bind = { ping = {} }\n", "adapter.modbus.bind.ping.tool: expected a non-empty string"),
     "nothing to judge": (
         FOREIGN + 'bind = { read_holding = { tool = "x" } }\n',

@@ -145,6 +145,7 @@ BY_KIT_ALONE = (
     "not a JMESPath expression",
     "not a regular expression",
     "is no input of this operation",
+    "an input stands alone",
     "an adapter that answers in envelopes needs no such rules",
     "without 'when' it hides the tables after it",
     "expected 'bind' tables",
