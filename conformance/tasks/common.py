@@ -205,9 +205,12 @@ def _noticing_s(rig: Rig, operation: str) -> float:
 
 
 def fresh(journal: Entries, *asked: tuple[Reply, Witness]) -> list[Finding]:
-    """Expect that during each call the device witnessed it; return the findings about the first of which it did not."""
+    """Expect that during each call the device witnessed it; return the findings about the first of which it did not.
+
+    A failure tells nothing that could be stale.
+    """
     for reply, witness in asked:
-        if findings := witness(reply.during(journal)):
+        if reply.success and (findings := witness(reply.during(journal))):
             return findings
     return []
 

@@ -23,6 +23,7 @@ from ..core.walls import missing, stood
 from ..protocols.external import external_devices
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, Environment, Item, Run, Settings, Tested
+from ..record.tool_calls import never_called
 from ..record.unread import unread_replies
 from ..record.warnings import warnings
 from ..subject.claims import Claims
@@ -187,6 +188,7 @@ def _adapter(
         "recovered_within_s": slowest_recovery_s(protocol, run["items"]),
         "call_limit": facts.get("call_limit"),
         "cached_s": facts["cached"],
+        "tools_never_called": never_called(facts),
         "facets": {"earned": earned, "claimed_not_exercised": not_exercised, "not_claimed": not_claimed},
     }
 

@@ -212,6 +212,7 @@ async def _examine(adapter: Adapter, variant: str, isolation: Isolation, say: Ca
     from ..plant.mock_device import MockDevice
     from ..subject.binding_check import check_bindings
     from ..subject.model import READ_WRITE, SECURE_FORM
+    from ..subject.tools import unbound
     from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
     from ..trial.session_proof import prove_session
 
@@ -247,6 +248,10 @@ async def _examine(adapter: Adapter, variant: str, isolation: Isolation, say: Ca
             connected = bool(judged((await device.journal(0)).entries))
             say(f"{variant}: the device {'has seen a connection' if connected else 'has not been asked anything yet'}")
             return _keeps_secrets(under_test, variant, say)
+        if variant == READ_WRITE and (unknown := unbound(adapter, session.tools)):
+            say(
+                f"{variant}: nothing is bound to {', '.join(unknown)}; no run calls them, and a pass says nothing about them"
+            )
         problem = await prove_session(under_test)
         say(
             f"{variant}: {problem or 'a random value went between the mock device and the adapter: it talks to the mock'}"

@@ -29,6 +29,7 @@ from ..core.walls import Wall
 from ..protocols.external import DEVICE, external_devices
 from ..protocols.registry import protocols
 from ..record.schema import ROLES, SCHEMA
+from ..record.tool_calls import added
 from ..suite.catalogue import KIT, identity, kit_digest, suite_digest
 from .interference import join_ids
 from .worker import SPOOLS
@@ -331,10 +332,13 @@ def _merged(workers: Iterable[Mapping[str, AdapterFacts]]) -> dict[str, AdapterF
     for adapters in workers:
         for key, facts in adapters.items():
             known = merged.setdefault(key, facts)
+            calls = added([facts] if known is facts else [known, facts])
             told = facts if known["tools"] is None else known
             bindings = {**known["bindings"], **facts["bindings"]}
             unmet, listing = sorted({*known["unmet"], *facts["unmet"]}), {**known["listing"], **facts["listing"]}
             merged[key] = {**told, "bindings": bindings, "unmet": unmet, "listing": listing}
+            if calls:
+                merged[key]["calls"] = calls
     return dict(sorted(merged.items()))
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import time
+import warnings
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -111,6 +112,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     add_options(parser)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[STARTED] = time.monotonic()
     config.addinivalue_line("markers", "otmcp: a conformance item of pytest-otmcp")
@@ -135,9 +137,12 @@ def pytest_configure(config: pytest.Config) -> None:
             )
         )
     default_to_suite(config)
-    if asks_for_suite(config) and getattr(config.option, "maxschedchunk", 1) is None:
-        # pytest-xdist hands out a quarter of a worker's share at once; the longest items would be one worker's.
-        config.option.maxschedchunk = 1
+    if asks_for_suite(config):
+        # The suite has no asynchronous fixtures; without an ini of the user's, this would be the first thing that a run shows.
+        warnings.filterwarnings("ignore", 'The configuration option "asyncio_default_fixture_loop_scope" is unset')
+        if getattr(config.option, "maxschedchunk", 1) is None:
+            # pytest-xdist hands out a quarter of a worker's share at once; the longest items would be one worker's.
+            config.option.maxschedchunk = 1
     if (named := names_unasked_requirements(config, config.stash[SETTINGS].suites)) is not None:
         refuse(UsageError(f"{named}: the requirement suite runs when it is asked for: --otmcp-suite={REQUIREMENTS}"))
 

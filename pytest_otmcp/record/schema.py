@@ -356,6 +356,7 @@ class AdapterFacts(TypedDict):
     envelope that its own answers do not meet. ``listing``: every tool that was called by a binding. ``unjudged``: outputs that the
     subject file does not say where to find. The members of the server are None when no session was ever opened.
     ``addressed_by``: keys of the subject file that hold the address of the mock device. ``transport``: that of MCP.
+    ``calls``: how often each tool that it lists was called, 0 for one that never was; absent where it lists none.
     ``libraries``: known libraries that the adapter's own files import, to the name of the first such file. ``tested``: what its command
     started.
     """
@@ -391,6 +392,7 @@ class AdapterFacts(TypedDict):
     protocol_version: Name | None
     tools: Count | None
     addressed_by: NotRequired[list[str]]
+    calls: NotRequired[dict[str, Count]]
     libraries: NotRequired[dict[str, str]]
     tested: NotRequired[Tested]
 

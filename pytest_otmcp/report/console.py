@@ -25,7 +25,7 @@ from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
 from .families import apart
 from .findings import beside, subject_keys
-from .limits import partial
+from .limits import partial, unknown_tools
 from .overview import deviations, requirements
 from .strangers import strangers
 from .text import at_least, count, counted, printable, shortened
@@ -223,6 +223,9 @@ def _partial(run: Run, width: int) -> Iterator[Line]:
     if partial(run):
         for line in wrapped("note: a partial pass; report.html says what it does not cover", width, "  "):
             yield line, "plain"
+        for sentence in unknown_tools(run):
+            for line in wrapped(f"note: {printable(sentence)}", width, "  "):
+                yield line, "plain"
 
 
 def _narrowed(run: Run, width: int) -> Iterator[Line]:

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from ..core.matrix import BENCHMARK, REQUIREMENTS
 from ..core.statistics import lower_bound
+from ..core.text import counted
 from ..core.verdict import Verdict
 from ..core.walls import missing as missing_walls
 from ..protocols.external import used
+from ..protocols.registry import protocols
+from ..record.tool_calls import never_called
 from . import Run, timing_valid
 from .applying import not_applying
 from .capabilities import Grade, earned
-from .text import at_least
+from .text import at_least, clipped
 
-__all__ = ["narrowed", "partial"]
+__all__ = ["narrowed", "partial", "unknown_tools"]
 
 _LESS = (Grade.NOT_CLAIMED, Grade.NOT_ASKED, Grade.UNDECIDED)
 _FULL = 30
 """Repetitions of the whole matrix."""
+_LETTERS = 60
+"""Letters of a tool's name."""
 
 
 def narrowed(run: Run) -> list[str]:
@@ -39,6 +44,7 @@ def narrowed(run: Run) -> list[str]:
             f"With N = {reps} instead of {_FULL}, an item that passes every time is shown to pass at least "
             f"{at_least(bound, '')} of the time, not more."
         )
+    reasons += [f"{sentence}." for sentence in unknown_tools(run)]
     if told := not_applying(run):
         reasons.append(f"{told}.")
     if settings.get("time_scale", 1.0) != 1.0:
@@ -53,6 +59,17 @@ def narrowed(run: Run) -> list[str]:
     if not timing_valid(run):
         reasons.append("Items ran in parallel: latencies would measure the neighbours too, and are withheld.")
     return reasons
+
+
+def unknown_tools(run: Run) -> list[str]:
+    """Return a sentence for each adapter that lists tools which the run never called."""
+    told = {key: never_called(facts) for key, facts in run["subject"]["adapters"].items()}
+    return [
+        f"The {protocols()[key].name} adapter lists {counted(len(tools), 'tool')} that this run never called and says nothing about: "
+        f"{', '.join(clipped(tool, _LETTERS) for tool in tools)}"
+        for key, tools in told.items()
+        if tools
+    ]
 
 
 def partial(run: Run) -> bool:

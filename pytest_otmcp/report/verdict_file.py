@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from ..record.tool_calls import never_called
 from ..record.warnings import warnings
 from ..suite.levels import standings
 from ..suite.requirements import catalogue
@@ -30,7 +31,7 @@ def verdict(run: Run, baseline: Baseline | None = None) -> dict[str, Any]:
 
     ``partial`` tells whether a pass says less than it could. ``items`` counts those about each protocol that the subject speaks. ``levels`` has the level of each protocol, None for none; it is empty without the requirement suite. ``causes`` are the rules that are
     broken, in the order of the suite, each with the code of its first finding (``cannot_start``, ``wrong_value``, …) and the items that it
-    touches. ``narrowed`` says what took something away from the suite. ``since`` says what has changed since the baseline, None without one.
+    touches. ``narrowed`` says what took something away from the suite, ``never_called`` which tools each adapter lists that the run never called. ``since`` says what has changed since the baseline, None without one.
     """
     return {
         "schema": SCHEMA,
@@ -56,6 +57,9 @@ def verdict(run: Run, baseline: Baseline | None = None) -> dict[str, Any]:
         ],
         "warnings": len(warnings(run["items"])),
         "narrowed": list(run["settings"].get("narrowed", ())),
+        "never_called": {
+            key: tools for key, facts in run["subject"]["adapters"].items() if (tools := never_called(facts))
+        },
         "deviations": [asdict(one) for one in deviations(run)],
         "since": None if baseline is None else _since(baseline, run),
     }

@@ -12,6 +12,7 @@ import asyncio
 import hashlib
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -83,6 +84,7 @@ class McpSession:
 
     Attributes:
         tools: name to entry of ``tools/list``.
+        calls: how often each tool was called.
         state: values that the functions of a bindings file keep from one call to the next.
         spawned_ns, ready_ns: monotonic times at which the process was started and the session was open.
     """
@@ -110,6 +112,7 @@ class McpSession:
         self._owner: asyncio.Task[None] | None = None
         self._closing = asyncio.Event()
         self.tools: dict[str, dict[str, object]] = {}
+        self.calls = Counter[str]()
         self._first_list = ""
         self._is_silent = False
         self._output_schemas: dict[str, bytes] = {}
@@ -275,6 +278,7 @@ class McpSession:
         Raises:
             KitError: the result could not be checked against the tool's ``outputSchema``.
         """
+        self.calls[tool] += 1
         asked, person = dict(arguments), self._options.person
         brought = {} if person is None else person.brought()
         exchange = await self._exchange(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from ..protocols.registry import protocols
-from .model import Adapter, Binding
+from collections.abc import Iterable
 
-__all__ = ["bound", "only_reads"]
+from ..protocols.registry import protocols
+from .model import Adapter, Binding, Function
+
+__all__ = ["bound", "only_reads", "unbound"]
 
 
 def bound(adapter: Adapter, tool: str) -> list[tuple[str, Binding]]:
@@ -23,3 +25,11 @@ def only_reads(adapter: Adapter, tool: str) -> bool:
     """Tell whether the subject file binds a tool, and only to operations that write nothing: an annotation is the adapter's own word."""
     known = protocols()[adapter.protocol].operations
     return {known[operation].writes for operation, _ in bound(adapter, tool)} == {False}
+
+
+def unbound(adapter: Adapter, tools: Iterable[str]) -> list[str]:
+    """Return the tools that the subject file says nothing of, so that no run calls them; a function may call any tool."""
+    if any(isinstance(bindings, Function) for bindings in adapter.operations.values()):
+        return []
+    starting = {one.tool for one in (adapter.connect, adapter.ready) if one is not None}
+    return [tool for tool in tools if tool not in starting and not bound(adapter, tool)]

@@ -12,6 +12,7 @@ import socket
 import stat
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -209,6 +210,7 @@ class AdapterUnderTest:
         self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
         self._called: set[str] = set()
+        self._calls = Counter[str]()
         self._ended: list[EndedSession] = []
         self._searches: list[SecretSearch] = []
         self._told: set[str] = set()
@@ -267,6 +269,11 @@ class AdapterUnderTest:
         }
         if self._tested is not None:
             facts["tested"] = self._tested
+        calls = Counter(self._calls)
+        if self.session is not None:
+            calls.update(_calls_of(self.session))
+        if calls:
+            facts["calls"] = dict(sorted(calls.items()))
         return facts
 
     def _libraries(self) -> dict[str, str]:
@@ -789,6 +796,7 @@ class AdapterUnderTest:
             changed = await session.tools_changed()
             session.look_at_arguments()
             await session.close()
+            self._calls.update(_calls_of(session))
             stray, first = session.stray_output()
             self._ended.append(
                 EndedSession(
@@ -1017,6 +1025,11 @@ class AdapterUnderTest:
         )
         reply = observe(exchange, expected)
         return replace_outputs(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
+
+
+def _calls_of(session: McpSession) -> dict[str, int]:
+    """Return how often each tool that a session lists was called."""
+    return {name: session.calls[name] for name in session.tools}
 
 
 def _overwrite(file: BinaryIO, data: bytes) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 
 from ..plant.devices import Plant
 from ..record.schema import AdapterFacts, Device
+from ..record.tool_calls import added
 from ..session.limits import Allowance
 from ..subject import Subject
 from ..subject.binding_check import check_bindings
@@ -123,6 +124,7 @@ class Bench:
         for under_test in self._adapters.values():
             key = under_test.adapter.protocol
             own = under_test.facts()
+            calls = added([own, *([facts[key]] if key in facts else [])])
             if under_test.variant == READ_WRITE or key not in facts:
                 # The server's facts are the read-write variant's; both variants use the same bindings of the subject.
                 own["bindings"] |= facts[key]["bindings"] if key in facts else {}
@@ -132,6 +134,8 @@ class Bench:
             else:
                 facts[key]["bindings"] |= own["bindings"]
                 facts[key]["listing"] = {**own["listing"], **facts[key]["listing"]}
+            if calls:
+                facts[key]["calls"] = calls
         return dict(sorted(facts.items()))
 
     def told_secrets(self) -> set[str]:

@@ -70,7 +70,7 @@ BELIEVED: Mapping[str, tuple[str, ...]] = {
         "subject.adapters.*.(deadline_s|recovery|recovery_s|transport)",
     ),
     "the server says it of itself, or its program shows it": (
-        "subject.adapters.*.(server_name|server_version|protocol_version|tools|libraries|listing|tested|unjudged|unmet)**",
+        "subject.adapters.*.(server_name|server_version|protocol_version|tools|calls|libraries|listing|tested|unjudged|unmet)**",
     ),
     "it is about the machine, or what was asked of the run": (
         "environment.(python|platform|started_at)",

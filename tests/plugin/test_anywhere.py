@@ -116,6 +116,11 @@ def test_a_file_of_the_suite_can_be_named_by_its_path_on_two_workers(repository:
     assert [item["id"] for item in outcome.record["items"]] == ["M1", "M2"]
     assert outcome.code == 1, outcome.output
     assert "VERDICT: INCOMPLETE" in outcome.output
+    calls = outcome.record["subject"]["adapters"]["modbus"]["calls"]
+    # M1 and M2 have a worker each; what neither asked for is there, and no tool of it was called.
+    assert calls["ping"]
+    assert calls["read_input_registers"]
+    assert calls["mask_write_register"] == 0
 
 
 @pytest.mark.long

@@ -617,6 +617,11 @@ tool = "pin"
     assert "modbus-reference" in done.stdout
     assert "the adapter lists no tool 'pin'; did you mean 'ping'?" in done.stdout
     assert "all is well" not in done.stdout
+    assert "nothing is bound to" not in done.stdout
+    (tmp_path / "otmcp.toml").write_text(text.replace('"pin"', '"ping"'), encoding="utf-8")
+    (line,) = (line for line in otmcp("doctor").stdout.splitlines() if "nothing is bound to" in line)
+    assert "write_register" in line
+    assert "ping" not in line
 
 
 def test_the_doctor_without_a_file_examines_the_adapters_that_every_run_has(

@@ -121,3 +121,11 @@ def test_what_was_not_tested_stands_above_the_digests(statement: dict[str, Any])
     ):
         assert words.index("What was not tested") < words.index(told_of) < words.index("What was tested")
     assert "Whoever shows this certificate ran the kit, at simulated devices. It is not signed;" in words
+
+
+def test_tools_that_were_never_called_are_named() -> None:
+    record = conformant_run()
+    record["subject"]["adapters"]["modbus"]["calls"] = {"flip": 0, "read": 7, "reset": 0}
+    statement = certificate(record, "ab" * 32, tasks_by_id(suites=SUITES))
+    assert statement["predicate"]["otmcp"]["adapters"]["modbus"]["tools_never_called"] == ["flip", "reset"]
+    assert "Modbus, flip : a tool that was never called Modbus, reset : a tool" in shown(statement)

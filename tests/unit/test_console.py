@@ -8,8 +8,11 @@ import re
 import pytest
 
 from pytest_otmcp.report.console import summary
+from pytest_otmcp.report.limits import narrowed
+from pytest_otmcp.report.verdict_file import verdict
 from pytest_otmcp.suite.requirements import requirements
 
+from .certified import conformant_run
 from .samples import finding, item, run, written_twice
 from .test_latex import ALL
 
@@ -216,3 +219,13 @@ def test_of_a_few_rows_the_answer_comes_before_the_verdict_on_the_whole_suite() 
     assert writing == ("WR-003: kept by Modbus, MQTT; not asked over OPC UA", "plain")
     assert verdict[0].startswith("VERDICT: ")
     assert "WR-003: kept" not in text(run([*ALL, *kept]))
+
+
+def test_tools_that_were_never_called_are_named_beside_a_pass() -> None:
+    record = conformant_run()
+    record["subject"]["adapters"]["opcua"]["calls"] = {"flip": 0, "read\x1b[8m": 0, "write": 7}
+    told = "The OPC UA adapter lists 2 tools that this run never called and says nothing about: flip, read"
+    assert told in text(record, 200)
+    assert "\x1b" not in text(record, 200)
+    assert narrowed(record)[0].startswith(told)
+    assert verdict(record)["never_called"] == {"opcua": ["flip", "read\x1b[8m"]}
