@@ -16,7 +16,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from pytest_otmcp.core.instants import same_instant
-from pytest_otmcp.core.strict_json import same_json
+from pytest_otmcp.core.strict_json import Wide, same_json
 from pytest_otmcp.trial.reply import Reply
 
 __all__ = [
@@ -89,8 +89,7 @@ def leaves(value: object) -> Iterator[object]:
 
 
 def _same_long(found: object, value: int) -> bool:
-    # OPC 10000-6, section 5.4.2.3: integers of 64 bits may be texts in JSON.
-    return same_json(found, value) or found == str(value)
+    return same_json(Wide(value), found)
 
 
 def _same_guid(found: object, value: str) -> bool:
@@ -108,6 +107,8 @@ def as_said(kind: str, value: object, reply: Reply) -> object:
     OPC 10000-6, section 5.4.2.11: in JSON a localized text may also be an object, which has the text and its locale.
     """
     found = reply.outputs.get("value")
+    if kind in ("Int64", "UInt64") and isinstance(value, int):
+        return Wide(value)
     return found if kind == "LocalizedText" and said_by(found, value) else value
 
 

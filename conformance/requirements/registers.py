@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import struct
 
+from pytest_otmcp.core.strict_json import Wide, same_json
+
 __all__ = ["FORMATS", "ORDERS", "WIDE", "registers", "same_bits", "unpacked"]
 
 FORMATS = {
@@ -47,6 +49,8 @@ def unpacked(data: bytes, kind: str) -> float:
 
 def same_bits(value: object, wanted: float, kind: str) -> bool:
     """Tell whether a number of an answer has the bits of the wanted one in this type."""
+    if kind in ("int64", "uint64") and same_json(Wide(int(wanted)), value):
+        return True
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     try:

@@ -11,10 +11,11 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["digest", "new_file", "new_file_below", "no_link", "read", "regular", "remove_below"]
+__all__ = ["digest", "new_file", "new_file_below", "no_link", "read", "regular", "remove_below", "remove_tree"]
 
 _WITHOUT_WAITING = os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 _LARGEST = 1 << 28
@@ -90,6 +91,60 @@ def remove_below(folder: str | os.PathLike[str], name: str) -> None:
     """
     with _room(folder, name):
         pass
+
+
+def remove_tree(folder: str) -> None:
+    """Remove a folder in which somebody else may have made anything, however deep, as far as that is possible; nobody writes there any more.
+
+    What a folder holds is moved up before the folder is removed: the time grows with the number of files, and nothing with the depth.
+    """
+    with suppress(OSError):
+        at = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        try:
+            fresh = (f"otmcp-{number}" for number in count())
+            removed = True
+            while removed:
+                removed = False
+                for name in os.listdir(at):
+                    removed |= _removed(name, at, fresh)
+        finally:
+            os.close(at)
+        os.rmdir(folder)
+
+
+def _removed(name: str, at: int, fresh: Iterator[str]) -> bool:
+    """Remove a file, or a folder whose folders are moved up under fresh names; tell whether that was done."""
+    with suppress(OSError):
+        if not stat.S_ISDIR(os.stat(name, dir_fd=at, follow_symlinks=False).st_mode):
+            os.unlink(name, dir_fd=at)
+            return True
+        os.chmod(name, stat.S_IRWXU, dir_fd=at)
+        inner = os.open(name, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=at)
+        try:
+            for part in os.listdir(inner):
+                if stat.S_ISDIR(os.stat(part, dir_fd=inner, follow_symlinks=False).st_mode):
+                    # A folder that is moved is written to: it names the one above it.
+                    os.chmod(part, stat.S_IRWXU, dir_fd=inner)
+                    os.rename(part, _free(fresh, at), src_dir_fd=inner, dst_dir_fd=at)
+                else:
+                    os.unlink(part, dir_fd=inner)
+        finally:
+            os.close(inner)
+        os.rmdir(name, dir_fd=at)
+        return True
+    return False
+
+
+def _free(fresh: Iterator[str], at: int) -> str:
+    return next(name for name in fresh if not _is_there(name, at))
+
+
+def _is_there(name: str, at: int) -> bool:
+    try:
+        os.stat(name, dir_fd=at, follow_symlinks=False)
+    except FileNotFoundError:
+        return False
+    return True
 
 
 @contextmanager

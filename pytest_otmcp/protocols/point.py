@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from ..core.strict_json import Wide
 from .exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended
 from .journal import Entries, Image
 from .proof import Call, Question, Way
@@ -75,6 +76,10 @@ class Kind:
     def highest(self) -> int:
         """The highest whole number."""
         return self.lowest + (1 << 8 * self.size) - 1
+
+    def due(self, value: Any) -> Any:
+        """Return what an answer that says a value of this type has to say."""
+        return Wide(value) if self.form in ("q", "Q") else value
 
     def any(self, rng: random.Random) -> Any:
         """Return any whole number."""
@@ -147,7 +152,7 @@ class Point:
         """Return the read of a value that is set before."""
         return replace(
             self.reads(),
-            outputs={self.output: [value] if self.listed else value},
+            outputs={self.output: [self.kind.due(value)] if self.listed else self.kind.due(value)},
             pokes=self.pokes(value),
             points=self.held(value),
             condition=self.condition,
@@ -170,7 +175,7 @@ class Point:
         """
         return replace(
             self.writes(value),
-            outputs={self.output: value},
+            outputs={self.output: self.kind.due(value)},
             pokes=() if before is None else self.pokes(before),
             points=self.held(value),
         )

@@ -37,6 +37,7 @@ _OF_A_VIEW = tuple(wall for wall in WALLS if wall != NETWORK)
 _FEW_STARTS = 4
 _MOST_LINKS = 40
 """Links that the kernel follows in a path (path_resolution(7))."""
+_OF_LAYERS = "user.overlay."
 _ANSWER_BYTES = 4096
 _PATIENCE_S = 60.0
 """A file system that does not answer must not hold up more than the walls."""
@@ -58,6 +59,7 @@ class Isolation:
 
     Args:
         mode: one of :data:`~pytest_otmcp.core.walls.MODES`.
+        cable: they are those of one cable.
 
     Attributes:
         keeper: starts adapters with walls.
@@ -66,8 +68,9 @@ class Isolation:
         UsageError: walls are required, and the machine refuses one.
     """
 
-    def __init__(self, mode: str = AUTO) -> None:
+    def __init__(self, mode: str = AUTO, *, cable: bool = False) -> None:
         self._mode = mode
+        self._users = 1 + cable
         self._missing: dict[Wall, dict[str, None]] = {wall: {} for wall in WALLS}
         self._descriptors: list[int] = []
         self._view = self._used = False
@@ -83,25 +86,26 @@ class Isolation:
 
     @property
     def _network(self) -> int | None:
-        return self._descriptors[1] if len(self._descriptors) > 1 else None
+        return self._descriptors[-1] if len(self._descriptors) > self._users else None
 
     def _words(self) -> tuple[Sequence[str], Sequence[int]]:
         if not self._descriptors:
-            return ("build", os.getcwd()), ()
-        return [str(number) for number in self._descriptors], self._descriptors
+            return ("build", os.getcwd(), *(["cable"] if self._users > 1 else [])), ()
+        own = self._descriptors[self._users - 1 :]
+        return [str(number) for number in own], own
 
     def _build(self) -> None:
         try:
             listening = self.keeper.start()
             listening.settimeout(_PATIENCE_S)
-            said, given = received(listening, _ANSWER_BYTES, 3)
+            said, given = received(listening, _ANSWER_BYTES, self._users + 2)
             listening.settimeout(None)
             refused = json.loads(said)
         except (OSError, ValueError) as error:
             given, refused = [], dict.fromkeys(("network", "view"), (0, f"the process that builds them ({error})"))
-        self._descriptors = list(given[:2])
-        if len(given) > 2:
-            self._hand = socket.socket(fileno=given[2])
+        self._descriptors = list(given[: self._users + 1])
+        if len(given) > self._users + 1:
+            self._hand = socket.socket(fileno=given[-1])
         self._view = "view" not in refused
         for wall in refused:
             if wall == "view" or not _alone():
@@ -141,7 +145,7 @@ class Isolation:
 
     def _around_cable(self) -> Walls | None:
         """Return walls with a network for one cable alone: who may open packet sockets reads all that passes in a network."""
-        own = Isolation(AUTO)
+        own = Isolation(AUTO, cable=True)
         self._cables.append(own)
         if self._mode == OFF:
             own._view = False
@@ -172,9 +176,8 @@ class Isolation:
     # -- for walls ----------------------------------------------------------------------------------------------------
 
     def namespaces(self) -> tuple[int, int]:
-        """Return descriptors of the user namespace and the network namespace."""
-        user, network = self._descriptors
-        return user, network
+        """Return descriptors of the devices' user namespace and of the network namespace."""
+        return self._descriptors[0], self._descriptors[-1]
 
     def socket(self, kind: int, family: int = socket.AF_INET) -> socket.socket:
         """Return a new socket in the network of the run.
@@ -264,8 +267,20 @@ class Walls:
         view = self._view(command, env, cwd) if self.isolation.has_view else None
         return {"network": self.network, "raw": self.raw, "view": view}
 
+    def bare(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the keeper is asked for to learn whether the machine allows such walls where nothing is open to the adapter."""
+        written, cwd = request["view"]["writes"], request["cwd"]
+
+        def is_open(path: str) -> bool:
+            return any(_is_below(path, folder) for folder in written)
+
+        layers = [path for path in request["view"]["layers"] if not is_open(path)]
+        return {"layers": layers, "cwd": "/" if is_open(os.path.realpath(cwd)) else cwd}
+
     def _view(self, command: Sequence[str], env: Mapping[str, str], cwd: str) -> dict[str, list[str]]:
         written = {os.path.realpath(path) for path in self.writes}
+        for path in written:
+            _forget_layers(path)
 
         def places(paths: Iterable[str]) -> set[str]:
             """Return the places of paths that are there. Where the adapter may write it may have put a link to anything."""
@@ -325,6 +340,15 @@ def _needed(
             elif path.startswith(_EXACT):
                 exact.add(path)
     return exact, beside
+
+
+def _forget_layers(path: str) -> None:
+    """Remove the attributes by which an overlay knows its own files: below a layer they make a path be refused or lead elsewhere, and an
+    adapter may give them to what it may write to."""
+    with suppress(OSError):
+        for name in os.listxattr(path, follow_symlinks=False):
+            if name.startswith(_OF_LAYERS):
+                os.removexattr(path, name, follow_symlinks=False)
 
 
 def _is_below(path: str, folder: str) -> bool:

@@ -8,12 +8,14 @@ cannot be that ancestor itself: pytest hosts other people's processes. The keepe
 The keeper is run as a program of the standard library alone. It reads from a socket: for each adapter a byte ``W`` with four file
 descriptors, which are a socket for the adapter's watcher and the adapter's standard streams; and a byte ``S`` when a watcher has
 ended that should not have: whatever has no watcher is killed then. A keeper that is told to build walls (see ``walls``) answers first, with
-a line that says which of them the machine refuses, and with descriptors of a user namespace, a network namespace, and a
-socket for sockets of that network.
+a line that says which of them the machine refuses, and with descriptors of a user namespace, of the adapters' one below it where there is a cable, of
+a network namespace, and of a socket for sockets of that network.
 
 The kit writes to the watcher a line with ``{"command", "env", "cwd", "network", "raw", "view"}``, then single bytes, and reads lines.
 ``network`` tells whether the adapter is put into the network of its own, ``raw`` whether it may open packet sockets there, ``view`` which paths the walls leave open to it: a process
 between watcher and adapter is then the first of a namespace of processes, and when that is killed, the kernel kills all others.
+A line with ``{"layers", "cwd"}`` asks whether the machine allows such walls where nothing else is open; the answer is ``{"refused"}``, null if it
+does.
 
 =====================  ==========================================================================================
 ``{"pid", "root", "watcher", "namespaces"}``
@@ -36,6 +38,7 @@ import ctypes
 import gc
 import json
 import os
+import resource
 import select
 import signal
 import socket
@@ -133,7 +136,7 @@ def _newest() -> int:
         return int(file.read().split()[-1])
 
 
-def _kill_descendants(besides: Collection[int] = (), unnamed: Collection[int] = ()) -> list[str]:
+def _kill_descendants(besides: Collection[int] = (), unnamed: Collection[int] = (), first: int = 0) -> list[str]:
     """Kill all descendants, also those that appear meanwhile, until none is left or :data:`_HUNT_S` have passed.
 
     A look at all processes takes ten milliseconds, so one that forks and ends again and again is never met by it. Between two such looks
@@ -142,6 +145,7 @@ def _kill_descendants(besides: Collection[int] = (), unnamed: Collection[int] = 
     Args:
         besides: children that are left alone with all that descends from them.
         unnamed: processes that are killed like the others, and expected.
+        first: a child to be killed before all others: with the first process of a namespace the kernel kills the rest.
 
     Returns:
         The names of what there was.
@@ -149,6 +153,11 @@ def _kill_descendants(besides: Collection[int] = (), unnamed: Collection[int] = 
     names: set[str] = set()
     until = time.monotonic() + _HUNT_S
     newest, looked = 0, 0.0
+    if first:
+        look = _Look()
+        names = {name for number in _numbers() if number not in unnamed and (name := look.name(number, besides))}
+        with contextlib.suppress(OSError):
+            os.kill(first, signal.SIGKILL)
     while _has_children() and (now := time.monotonic()) < until:
         before, newest = newest, _newest()
         # Numbers begin again at the lowest when the highest was given.
@@ -208,7 +217,13 @@ class _Watcher:
         signal.set_wakeup_fd(woken, warn_on_full_buffer=False)
         with self._kit.makefile("rb") as lines:
             request = lines.readline()
-        if not request or not self._start(**json.loads(request)):
+        if not request:
+            return
+        asked = json.loads(request)
+        if "layers" in asked:
+            self.say(refused=_tried(**asked))
+            return
+        if not self._start(**asked):
             return
         watched: list[Any] = [self._kit, wake, self._told]
         while True:
@@ -236,7 +251,8 @@ class _Watcher:
             if view is not None:
                 walls.unshare(walls.NEW_PROCESSES, "a process namespace")
         except walls.RefusedError as error:
-            self.say(refused=_refusal(error))
+            # It was tried before the first adapter was started: what is in the way now is no rule of the machine's.
+            self.say(failed=error.errno, of="machine")
             return False
         self._root = os.fork()
         if self._root == 0:
@@ -298,6 +314,9 @@ class _Watcher:
                 os.dup2(descriptor, target)
             os.chdir(cwd)
             if walled:
+                # It must be so before the filter forbids to change it (core(5)). A hard limit of 0 cannot be raised.
+                with contextlib.suppress(ValueError):
+                    resource.setrlimit(resource.RLIMIT_CORE, (1, 1))
                 walls.give_up_privileges(raw=raw)
                 walls.filter_calls(network=network)
             os.execvpe(command[0], command, env)  # noqa: S606
@@ -341,7 +360,7 @@ class _Watcher:
                     os.killpg(self._pid, signal.SIGTERM)
             return True
         self._reap()
-        self.say(left=_kill_descendants(unnamed=(self._pid, self._root))[:_MOST_TOLD])
+        self.say(left=_kill_descendants(unnamed=(self._pid, self._root), first=self._root)[:_MOST_TOLD])
         return False
 
 
@@ -358,20 +377,26 @@ def _fail(fail: int, **event: object) -> NoReturn:
     os._exit(255)
 
 
-def _build(kit: socket.socket, cwd: str) -> tuple[int | None, set[int]]:
+def _build(kit: socket.socket, cwd: str, *, cable: bool) -> tuple[int | None, set[int]]:
     """Build the walls that are the same for all adapters, try the others, and tell the kit what the machine refuses.
+
+    Args:
+        cable: adapters get a user namespace below that of their device, whose network they would set up as well otherwise.
 
     Returns:
         The network namespace, None where there is none, and the numbers of the processes that must stay.
     """
     refused: dict[str, Any] = {}
     given: list[int] = []
-    hand = 0
+    hand = users = 0
     try:
-        walls.enter_user()
+        for _ in range(1 + cable):
+            walls.enter_user()
+            given.append(os.open("/proc/self/ns/user", os.O_RDONLY | os.O_CLOEXEC))
+        users = len(given)
         walls.forbid_users()
-        given.append(os.open("/proc/self/ns/user", os.O_RDONLY | os.O_CLOEXEC))
     except walls.RefusedError as error:
+        given = []
         refused = dict.fromkeys(("network", "view"), _refusal(error))
     else:
         ours, theirs = socket.socketpair()
@@ -384,12 +409,14 @@ def _build(kit: socket.socket, cwd: str) -> tuple[int | None, set[int]]:
             given += [*descriptors, ours.detach()]
         else:
             refused["network"] = json.loads(said)
-        if (why := _tried(cwd)) is not None:
+        if (why := _tried([cwd] if cwd != "/" else [], cwd)) is not None:
             refused["view"] = why
     socket.send_fds(kit, [json.dumps(refused).encode() + b"\n"], given)
-    for descriptor in (*given[:1], *given[2:]):
-        os.close(descriptor)
-    return (given[1] if len(given) > 1 else None), {hand}
+    kept = given[users] if len(given) > users else None
+    for descriptor in given:
+        if descriptor != kept:
+            os.close(descriptor)
+    return kept, {hand}
 
 
 def _be_hand(asked: socket.socket) -> NoReturn:
@@ -406,14 +433,14 @@ def _be_hand(asked: socket.socket) -> NoReturn:
         os._exit(0)
 
 
-def _tried(cwd: str) -> Any:
-    """Try the walls of one adapter in this working directory; return what the machine refuses, or None."""
+def _tried(layers: list[str], cwd: str) -> Any:
+    """Try the walls of an adapter that nothing else is open to; return what the machine refuses, or None."""
     failed, fail = os.pipe()
     if (trying := os.fork()) == 0:
         try:
             walls.unshare(walls.NEW_PROCESSES, "a process namespace")
             if (first := os.fork()) == 0:
-                walls.enclose(reads=[], needed=[], writes=[], layers=[cwd] if cwd != "/" else [], cwd=cwd)
+                walls.enclose(reads=[], needed=[], writes=[], layers=layers, cwd=cwd)
             else:
                 os.waitpid(first, 0)
         except OSError as error:
@@ -473,8 +500,8 @@ def _fork_watcher(kit: socket.socket, parent: int, descriptors: list[int], netwo
 def main() -> None:
     """Serve the kit, whose socket and process (pidfd_open(2)) are the first two descriptors that the command line names.
 
-    A third word asks for walls: ``build`` for new ones, tried in the directory that follows, or descriptors of the user namespace, and the network namespace if
-    there is one, that an earlier keeper has built.
+    A third word asks for walls: ``build`` for new ones, tried in the directory that follows, and after it ``cable`` for those of a cable; or descriptors of the
+    adapters' user namespace, and the network namespace if there is one, that an earlier keeper has built.
     """
     # A fork copies what the collector touches.
     gc.disable()
@@ -482,7 +509,7 @@ def main() -> None:
     network, staying = None, set[int]()
     _prctl(_SET_CHILD_SUBREAPER, 1)
     if sys.argv[3:4] == ["build"]:
-        network, staying = _build(kit, sys.argv[4])
+        network, staying = _build(kit, sys.argv[4], cable=sys.argv[5:] == ["cable"])
     elif sys.argv[3:]:
         user, *others = map(int, sys.argv[3:])
         walls.join(user, walls.NEW_USER)

@@ -29,6 +29,9 @@ _PROGRAM = f"import sys; sys.path.append({str(Path(__file__).parents[2])!r}); fr
 _WATCHED_S = 20.0
 """Seconds within which a killed process must be gone; one that waits for a disk cannot be killed."""
 
+_OF_A_MOMENT = (errno.EAGAIN, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOSPC)
+"""What the system says when something is used up."""
+
 _OF_THE_COMMAND = (errno.ENOENT, errno.EACCES, errno.ENOEXEC, errno.ENOTDIR)
 """What the system says when the command is wrong; whatever else it says is about the kit's machine."""
 
@@ -128,6 +131,10 @@ class Enclosure(Protocol):
         """Return what the keeper is asked for."""
         ...
 
+    def bare(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the keeper is asked for to learn whether the machine allows such walls where nothing is open to the adapter."""
+        ...
+
     def refused(self, why: Sequence[Any]) -> None:
         """Take note that the machine refuses a view of the machine.
 
@@ -194,6 +201,7 @@ class Watcher:
         )
         reader, writer, event = await cls._ask(used, request, streams)
         if walls is not None and "refused" in event:
+            await cls._believe(used, walls, request, event["refused"], streams)
             walls.refused(event["refused"])
             request["view"] = None
             reader, writer, event = await cls._ask(used, request, streams)
@@ -212,6 +220,25 @@ class Watcher:
                 await watcher.close()
                 raise
         return watcher
+
+    @classmethod
+    async def _believe(
+        cls, used: Keeper, walls: Enclosure, request: Mapping[str, Any], refused: Sequence[Any], streams: Sequence[int]
+    ) -> None:
+        """Make sure that the machine refuses walls, and nothing that an adapter has done: no adapter decides that it is started without them.
+
+        Raises:
+            KitError: it does not.
+        """
+        number, step = refused
+        if number in _OF_A_MOMENT:
+            raise _not_started(OSError(number, os.strerror(number)))
+        _, _, event = await cls._ask(used, walls.bare(request), streams)
+        if event.get("refused") is None:
+            raise KitError(
+                f"the adapter could not be started behind its walls: {step} failed ({os.strerror(number)}), which it does not where nothing "
+                "is open to adapters; look at what they may write to"
+            )
 
     @staticmethod
     async def _ask(

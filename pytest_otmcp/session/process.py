@@ -31,6 +31,8 @@ _UNREAD_BYTES = 4 * 1024 * 1024
 every answer to one that it does not read would be kept."""
 
 _SETTLE_S = 3.0
+_STARVED_S = 10.0
+"""Seconds without a processor that are granted to a process that is to end."""
 
 _STDERR_LINES = 60
 _STDERR_LINE_BYTES = 2000
@@ -297,11 +299,13 @@ class SubjectProcess:
         how = "exited" if exited.is_set() else "killed"
         if how != "exited":
             self._stdin.close()
-            if reads_stdin and await self._gone_within(grace_s):
-                how = "eof"
-            else:
+            starved_s = _STARVED_S
+            if reads_stdin:
+                gone, starved_s = await self._gone_within(grace_s, starved_s)
+                how = "eof" if gone else how
+            if how != "eof":
                 self._watcher.terminate()
-                if await self._gone_within(grace_s):
+                if (await self._gone_within(grace_s, starved_s))[0]:
                     how = "terminated" if reads_stdin else "signalled"
         seconds = time.monotonic() - begun
         if how == "eof":
@@ -312,16 +316,17 @@ class SubjectProcess:
             transport.close()
         return StopReport(how=how, seconds=seconds, returncode=self.returncode, left=left if how == "eof" else [])
 
-    async def _gone_within(self, grace_s: float) -> bool:
-        """Wait for the process to exit; tell whether it did.
+    async def _gone_within(self, grace_s: float, starved_s: float) -> tuple[bool, float]:
+        """Wait for the process to exit; tell whether it did, and what is left of ``starved_s``.
 
-        On a busy machine seconds pass before a process gets a processor at all, or the watcher, which tells of its end.
+        On a busy machine seconds pass before a process gets a processor at all, or the watcher, which tells of its end. An adapter whose
+        other processes take the processors from it must not live longer for that.
         """
-        patience = Patience(grace_s)
+        patience = Patience(grace_s, starved_s=starved_s)
         patience.watch(self.pids)
         with suppress(TimeoutError):
             await finish_within(patience, self._watcher.exited.wait())
-        return self._watcher.exited.is_set()
+        return self._watcher.exited.is_set(), starved_s - patience.starved_s()
 
 
 def _streams(undo: AsyncExitStack) -> tuple[list[FileIO], list[FileIO]]:

@@ -13,6 +13,7 @@ import errno
 import fcntl
 import os
 import re
+import resource
 import socket
 import stat
 import struct
@@ -58,9 +59,14 @@ _NODES = ("null", "zero", "full", "random", "urandom", "tty")
 _EMPTY = "/proc/empty"
 _LINKS = {"fd": "/proc/self/fd", "stdin": "/proc/self/fd/0", "stdout": "/proc/self/fd/1", "stderr": "/proc/self/fd/2"}
 
-_CALLS = {"x86_64": (248, 41, 0xC000003E), "aarch64": (217, 198, 0xC00000B7)}
-"""Machine to its numbers of add_key(2), which request_key(2) and keyctl(2) follow, and of socket(2), and of its architecture as filters know it."""
-_KEYS, _RING = 3, 425
+_CALLS = {
+    "x86_64": (0xC000003E, 41, 160, 302, (248, 249, 250, 321)),
+    "aarch64": (0xC00000B7, 198, 164, 261, (217, 218, 219, 280)),
+}
+"""Machine to its architecture as filters know it, to its numbers of socket(2), setrlimit(2) and prlimit(2), and to those of add_key(2),
+request_key(2), keyctl(2) and bpf(2)."""
+_NEW_PROCESS, _RING = 435, 425
+"""clone3(2) and io_uring_setup(2), which have the same number everywhere."""
 _FAMILIES = (socket.AF_UNIX, socket.AF_INET, socket.AF_INET6, socket.AF_NETLINK, socket.AF_PACKET)
 _SECCOMP, _FILTER = 22, 2
 
@@ -238,8 +244,10 @@ def enclose(
 def filter_calls(*, network: bool) -> None:
     """Have this process, and all that comes of it, make no call for what namespaces do not hold (seccomp(2)).
 
-    Keys (keyrings(7)) are those of whoever started the kit. Programs of another architecture are refused. On a machine whose calls are not known
-    here, and by a kernel without filters, nothing is refused.
+    Keys (keyrings(7)) are those of whoever started the kit; bpf(2) opens what others have pinned; clone3(2) starts a process in any control
+    group that can be written to, and no library does without clone(2). A crash is no business of the machine's handler (core(5)), which runs
+    outside: it is not called as long as the limit of core dumps is exactly 1. Programs of another architecture are refused. On a machine
+    whose calls are not known here, and by a kernel without filters, nothing is refused.
 
     Args:
         network: it makes sockets of the usual families alone, as it has a network of its own: ``AF_VSOCK`` reaches the host of a virtual machine.
@@ -247,19 +255,34 @@ def filter_calls(*, network: bool) -> None:
     """
     if (known := _CALLS.get(os.uname().machine)) is None:
         return
-    first_of_keys, socket_number, architecture = known
+    architecture, socket_number, set_limit, limits, never = known
     load, equal, and_, answer = 0x20, 0x15, 0x54, 0x06
     allow, fails = 0x7FFF0000, 0x00050000
-    refused = [*range(first_of_keys, first_of_keys + _KEYS), *([_RING] if network else ())]
-    # Each step: code, steps to skip where it holds and where it does not, operand. Number, architecture and first argument of a call are at 0, 4, 16.
+    refused = [*never, _NEW_PROCESS, *([_RING] if network else ())]
+    # The second set of calls of x86-64 has the same numbers with a bit of its own.
+    number = [(load, 0, 0, 0), (and_, 0, 0, 0xBFFFFFFF)]
+    # Each step: code, steps to skip where it holds and where it does not, operand. Number and architecture of a call are at 0 and 4, its
+    # arguments of 8 bytes at 16 and beyond.
     steps = [
         (load, 0, 0, 4),
         (equal, 1, 0, architecture),
         (answer, 0, 0, fails | errno.ENOSYS),
-        (load, 0, 0, 0),
-        # The second set of calls of x86-64 has the same numbers with a bit of its own.
-        (and_, 0, 0, 0xBFFFFFFF),
+        *number,
         *(step for call in refused for step in ((equal, 0, 1, call), (answer, 0, 0, fails | errno.ENOSYS))),
+        (equal, 0, 3, set_limit),
+        (load, 0, 0, 16),
+        (equal, 8, 0, resource.RLIMIT_CORE),
+        (answer, 0, 0, allow),
+        (equal, 0, 7, limits),
+        (load, 0, 0, 24),
+        (equal, 0, 5, resource.RLIMIT_CORE),
+        # Who sets no limit gives no address of one.
+        (load, 0, 0, 32),
+        (equal, 0, 2, 0),
+        (load, 0, 0, 36),
+        (equal, 1, 0, 0),
+        (answer, 0, 0, fails | errno.EPERM),
+        *number,
     ]
     if network:
         steps += [
@@ -280,8 +303,11 @@ def give_up_privileges(*, raw: bool = False) -> None:
 
     Args:
         raw: it keeps those of opening packet sockets and of setting interfaces up in its network, which holds nothing else.
+
+    Raises:
+        RefusedError: it would keep more.
     """
-    _libc.prctl(_NO_NEW_PRIVS, ctypes.c_ulong(1), 0, 0, 0)
+    _call("a program without new privileges", "prctl", _NO_NEW_PRIVS, ctypes.c_ulong(1), 0, 0, 0)
     for capability in range(64):
         # It fails beyond the last one that the kernel knows.
         if not (raw and capability in _OF_A_CABLE):
@@ -371,8 +397,8 @@ def _veiled(path: str, mounted: Sequence[str], needed: Sequence[str]) -> list[st
 def _lay_nothing_over(path: str) -> None:
     os.chdir(path)
     try:
-        # A path in the options would have to be escaped.
-        _mount("overlay", path, "overlay", _NOSUID | _NODEV | _MOUNT_READ_ONLY, f"lowerdir=.:{_EMPTY},userxattr")
+        # A path in the options would have to be escaped. Nothing is written here, so that no attributes of files are needed, and none are obeyed.
+        _mount("overlay", path, "overlay", _NOSUID | _NODEV | _MOUNT_READ_ONLY, f"lowerdir=.:{_EMPTY}")
     finally:
         os.chdir("/")
 

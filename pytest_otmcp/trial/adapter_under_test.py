@@ -11,7 +11,6 @@ import os
 import socket
 import stat
 import sys
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -87,6 +86,7 @@ from .cursor import JournalCursor
 from .reply import Expectation, Reply, kept_of, observe, replace_outputs
 from .subject_in_rig import SubjectInRig
 from .tool_surface import surface
+from .work_folder import WorkFolder
 
 __all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "EndedSession"]
 
@@ -205,7 +205,7 @@ class AdapterUnderTest:
         self._allowance = allowance or Allowance()
         self._failed_starts: list[SubjectError] = []
         self.unconnected = False
-        self._work: tempfile.TemporaryDirectory[str] | None = None
+        self._work: WorkFolder | None = None
         self._token: str | None = None
         self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
@@ -317,7 +317,7 @@ class AdapterUnderTest:
     def new_session(self) -> McpSession:
         """Return a session that has not been opened yet, with a process of its own."""
         if self._work is None:
-            self._work = tempfile.TemporaryDirectory(prefix="otmcp-", ignore_cleanup_errors=True)
+            self._work = WorkFolder()
         url = self.adapter.url_of(self.variant)
         values = {
             **self.endpoint,

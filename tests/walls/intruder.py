@@ -97,7 +97,7 @@ def _breeds(seconds: float) -> bool:
 
 def _limits(number: int) -> Callable[[], bool]:
     def limit() -> bool:
-        resource.prlimit(number, resource.RLIMIT_CORE, (0, 0))
+        resource.prlimit(number, resource.RLIMIT_MSGQUEUE, (0, 0))
         return True
 
     return limit

@@ -19,10 +19,10 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.core.errors import UsageError
+from pytest_otmcp.core.errors import KitError, UsageError
 from pytest_otmcp.core.walls import AUTO, OFF, REQUIRE, WALLS, Wall
 from pytest_otmcp.session.isolation import Isolation, Walls
-from pytest_otmcp.session.process import SubjectProcess
+from pytest_otmcp.session.process import StopReport, SubjectProcess
 
 from .outside import Outside
 
@@ -324,7 +324,7 @@ def test_a_link_that_an_adapter_made_opens_nothing(tmp_path: Path, through: str)
 
 
 NOT_OF_A_NETWORK = """
-import ctypes, json, socket, sys
+import ctypes, errno, json, resource, socket, sys
 libc = ctypes.CDLL(None, use_errno=True)
 told = {}
 for name in ("AF_INET", "AF_UNIX", "AF_VSOCK"):
@@ -335,10 +335,18 @@ for name in ("AF_INET", "AF_UNIX", "AF_VSOCK"):
         told[name] = False
 told["io_uring"] = libc.syscall(425, 1, ctypes.create_string_buffer(120)) >= 0
 told["key"] = libc.syscall(int(sys.argv[1]), 10, -3, b"user", sys.argv[2].encode(), 0) > 0
+for name, number in (("bpf", int(sys.argv[3])), ("clone3", 435)):
+    libc.syscall(number, 0, 0, 0)
+    told[name] = ctypes.get_errno() != errno.ENOSYS
+own = resource.getrlimit(resource.RLIMIT_CORE)
+told["core dumps"] = own != (1, 1)
+told["other limits"] = resource.setrlimit(resource.RLIMIT_NOFILE, resource.getrlimit(resource.RLIMIT_NOFILE)) is None
+for name, change in (("setrlimit", libc.setrlimit), ("prlimit", lambda kind, limit: libc.prlimit(0, kind, limit, None))):
+    told[name] = change(resource.RLIMIT_CORE, (ctypes.c_ulong * 2)(0, 0)) == 0
 print(json.dumps(told), flush=True)
 sys.stdin.read()
 """
-KEYCTL = {"x86_64": (250, 248), "aarch64": (219, 217)}.get(os.uname().machine)
+KEYCTL = {"x86_64": (250, 248, 321), "aarch64": (219, 217, 280)}.get(os.uname().machine)
 
 
 @pytest.mark.skipif(KEYCTL is None, reason="the numbers of system calls are known for x86-64 and AArch64")
@@ -349,12 +357,115 @@ def test_what_namespaces_do_not_hold_is_refused(tmp_path: Path) -> None:
     # Where the machine has no keys, there is none to find.
     key = libc.syscall(KEYCTL[1], b"user", name.encode(), b"secret", 6, -3)
     try:
-        command = [sys.executable, "-c", NOT_OF_A_NETWORK, str(KEYCTL[0]), name]
+        command = [sys.executable, "-c", NOT_OF_A_NETWORK, str(KEYCTL[0]), name, str(KEYCTL[2])]
         told = asyncio.run(_start(isolation.walls(), command, tmp_path))
     finally:
         libc.syscall(KEYCTL[0], 3, key)
         isolation.close()
-    assert told == {"AF_INET": True, "AF_UNIX": True, "AF_VSOCK": False, "io_uring": False, "key": False}
+    assert {name for name, worked in told.items() if worked} == {"AF_INET", "AF_UNIX", "other limits"}
+
+
+def test_at_a_cable_an_adapter_may_set_its_interface_up_and_open_packet_sockets(tmp_path: Path) -> None:
+    look = (
+        "import json, re, sys\n"
+        "own = re.findall('Cap(?:Prm|Eff|Bnd|Amb):\\t([0-9a-f]+)', open('/proc/self/status').read())\n"
+        "print(json.dumps({'privileges': [int(one, 16) for one in own]}), flush=True)\n"
+        "sys.stdin.read()"
+    )
+    isolation = isolation_or_skip()
+    try:
+        told = asyncio.run(_start(isolation.walls(cable=True), [sys.executable, "-c", look], tmp_path))
+    finally:
+        isolation.close()
+    # CAP_NET_ADMIN and CAP_NET_RAW, capabilities(7).
+    assert told == {"privileges": [1 << 12 | 1 << 13] * 4}
+
+
+MARKING = """
+import json, os, sys
+done = []
+for path in sys.argv[1:]:
+    for name in ("metacopy", "opaque", "redirect", "origin", "impure", "upper", "protattr", "uuid", "nlink"):
+        try:
+            os.setxattr(path, "user.overlay." + name, b"/x" if name == "redirect" else b"y" if name == "opaque" else b"")
+            done.append(name)
+        except OSError:
+            pass
+print(json.dumps({"pid": os.getpid(), "done": len(done)}), flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_no_attribute_that_an_adapter_leaves_takes_a_wall_down(monkeypatch: pytest.MonkeyPatch, known: bool) -> None:
+    """An overlay obeys some attributes of the files below it; one that the kit does not know must not let an adapter out either."""
+    if not known:
+        monkeypatch.setattr("pytest_otmcp.session.isolation._OF_LAYERS", "user.none.")
+    isolation = isolation_or_skip()
+    with tempfile.TemporaryDirectory(dir=HERE) as name:
+        file, folder, deep = Path(name, "state.db"), Path(name, "state"), Path(name, "state", "deep")
+        file.touch()
+        deep.mkdir(parents=True)
+        command = [sys.executable, "-c", MARKING, str(file), str(folder), str(deep)]
+        walls = isolation.walls()
+        assert walls is not None
+        try:
+            for written in ([folder], [file], [file, folder]):
+                opened = walls.open_to(reads=(), writes=map(str, written))
+                for _ in range(2):
+                    if not known and "user.overlay.metacopy" in os.listxattr(file):
+                        with pytest.raises(KitError, match="could not be started behind its walls"):
+                            asyncio.run(_start(opened, command, Path(name)))
+                        continue
+                    told = asyncio.run(_start(opened, command, Path(name)))
+                    if not told["done"]:
+                        pytest.skip("this file system has no attributes")
+                    assert told["pid"] == 2
+            assert isolation.account() == {"network": None, "processes": None, "files": None}
+        finally:
+            isolation.close()
+
+
+STARVING = """
+import os, signal
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+print("{}", flush=True)
+for _ in range(2 * os.cpu_count()):
+    if os.fork() == 0:
+        while True:
+            pass
+os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+while True:
+    pass
+"""
+
+
+def test_an_adapter_that_takes_the_processor_from_itself_is_ended_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pytest_otmcp.session.process._STARVED_S", 1.0)
+    isolation = isolation_or_skip()
+
+    async def ended() -> StopReport:
+        begun = asyncio.Event()
+        process = await SubjectProcess.start(
+            [sys.executable, "-c", STARVING],
+            env=dict(os.environ),
+            cwd=tmp_path,
+            on_line=lambda moment, line: begun.set(),
+            on_overflow=lambda moment: None,
+            walls=isolation.walls(),
+        )
+        await begun.wait()
+        return await process.stop(grace_s=0.5)
+
+    try:
+        report = asyncio.run(ended())
+    finally:
+        isolation.close()
+    assert report.how == "killed"
+    # Of a minute that it would be granted once for each signal, nothing is left.
+    assert report.seconds < 30
 
 
 def test_what_is_opened_can_be_reached_and_nothing_else(tmp_path: Path) -> None:

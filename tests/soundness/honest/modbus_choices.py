@@ -146,6 +146,21 @@ def gives_up_what_waits(server: AdapterServer) -> None:
         wrap(server, name, in_turn)
 
 
+@choice(
+    "gives every integer of 64 bits as its digits, also a small one", "RFC 7493, section 2.2: such numbers as texts"
+)
+def long_integers_as_texts(server: AdapterServer) -> None:
+    def spelt(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            data = await genuine(call, arguments)
+            return {**data, "value": str(data["value"])} if arguments.data_type in ("int64", "uint64") else data
+
+        return handler
+
+    for name in ("read_holding_typed", "read_input_typed"):
+        wrap(server, name, spelt)
+
+
 def polling(table: str, address: int, count: int) -> Change:
     def apply(server: AdapterServer) -> None:
         read: Read = getattr(tools_of(server), table)

@@ -366,6 +366,28 @@ def further_members(server: AdapterServer) -> None:
     server._tools["read_opcua_node"] = dataclasses.replace(tool, handler=extended(tool.handler), listing=listing)
 
 
+@choice("gives every integer of 64 bits as its digits, also a small one", "OPC 10000-6, section 5.4.2.3")
+def long_integers_as_texts(server: AdapterServer) -> None:
+    def spelt(value: Any) -> Any:
+        return list(map(spelt, value)) if isinstance(value, list) else str(value)
+
+    def extended(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            data = await genuine(call, arguments)
+            found = [data] if "value" in data else [one for one in data["nodes"] if "value" in one]
+            for one in found:
+                if one.get("data_type") in ("Int64", "UInt64"):
+                    one["value"] = spelt(one["value"])
+            return data
+
+        return handler
+
+    for name in ("read_opcua_node", "read_multiple_opcua_nodes"):
+        tool = server._tools[name]
+        listing = tool.listing.model_copy(update={"output_schema": None})
+        server._tools[name] = dataclasses.replace(tool, handler=extended(tool.handler), listing=listing)
+
+
 @choice("gives a localized text as an object with text and locale", "OPC 10000-6, section 5.4.2.11")
 def localized_texts_as_objects(server: AdapterServer) -> None:
     def extended(genuine: Handler) -> Handler:
