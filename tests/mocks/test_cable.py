@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import subprocess
 import sys
@@ -121,3 +122,54 @@ async def test_a_device_on_a_cable_goes_before_other_programs() -> None:
     finally:
         await device.close()
         isolation.close()
+
+
+REACHING = """
+import os, socket, struct
+from contextlib import suppress
+
+NEW_LINK, GET_LINK, NAME, PEER_NETWORK, TARGET_NETWORK, LINK_INFO = 16, 18, 3, 37, 46, 18
+
+def attribute(kind, data):
+    return struct.pack("=HH", 4 + len(data), kind) + data + bytes(-len(data) % 4)
+
+def ask(kind, flags, body):
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as netlink:
+        netlink.bind((0, 0))
+        netlink.send(struct.pack("=IHHII", 16 + len(body), kind, flags | 0x1, 1, 0) + body)
+        return netlink.recv(65536)[16:]
+
+def link():
+    return struct.pack("=BxHiII", 0, 0, 0, 0, 0)
+
+def attributes(data):
+    while data:
+        size, kind = struct.unpack_from("=HH", data)
+        yield kind, data[4:size]
+        data = data[(size + 3) & ~3:]
+
+there = dict(attributes(ask(GET_LINK, 0, link() + attribute(NAME, b"otmcp0" + bytes(1)))[16:]))[PEER_NETWORK]
+kind = attribute(LINK_INFO, attribute(1, b"dummy" + bytes(1)))
+for network in (b"", attribute(TARGET_NETWORK, there)):
+    (code,) = struct.unpack_from("=i", ask(NEW_LINK, 0x604, link() + network + attribute(NAME, b"mine" + bytes(1)) + kind))
+    print(os.strerror(-code), flush=True)
+"""
+
+
+async def test_an_adapter_sets_nothing_up_at_the_other_end(walled: MockDevice) -> None:
+    said: list[bytes] = []
+    assert walled.walls is not None
+    process: Any = await SubjectProcess.start(
+        [sys.executable, "-c", REACHING],
+        env={"PATH": os.environ["PATH"]},
+        cwd=Path.cwd(),
+        on_line=lambda _, line: said.append(line),
+        on_overflow=lambda _: None,
+        walls=walled.walls,
+    )
+    await process.exited.wait()
+    await process.settle()
+    await process.stop(grace_s=1.0)
+    assert said[1:] == [os.strerror(errno.EPERM).encode()]
+    # At its own end it may, where the machine has such links.
+    assert said[0] in (os.strerror(0).encode(), os.strerror(errno.EOPNOTSUPP).encode())

@@ -374,8 +374,7 @@ def long_integers_as_texts(server: AdapterServer) -> None:
     def extended(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
             data = await genuine(call, arguments)
-            found = [data] if "value" in data else [one for one in data["nodes"] if "value" in one]
-            for one in found:
+            for one in data.get("items", [data]):
                 if one.get("data_type") in ("Int64", "UInt64"):
                     one["value"] = spelt(one["value"])
             return data
