@@ -22,6 +22,7 @@ class FindingCode:
         change: where the cause usually is, and what to do about it.
         keys: keys of the adapter's table in the subject file that may be the cause.
         beside: it is about the session, beside what the steps of an item have asked: one such fault is in every item of the adapter.
+        contradicts: what the adapter said is not what its device saw, or holds.
     """
 
     code: str
@@ -29,6 +30,7 @@ class FindingCode:
     change: str
     keys: tuple[str, ...] = ()
     beside: bool = False
+    contradicts: bool = False
 
 
 @cache
@@ -49,6 +51,7 @@ def finding_codes(package: str = __package__) -> Mapping[str, FindingCode]:
             change=entry["change"],
             keys=tuple(entry.get("keys", ())),
             beside=entry.get("beside", False),
+            contradicts=entry.get("contradicts", False),
         )
         for code, entry in declared.items()
     }

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.finding_registry import finding_codes
 from ..core.matrix import KNOWN_SUITES
+from ..core.text import counted
+from ..core.verdict import Verdict
 from ..core.walls import missing
 from ..record.warnings import warnings
 from ..suite.catalogue import known_tasks
@@ -48,7 +51,7 @@ _QUESTIONS = {
 }
 _SENTENCES = {
     "CONFORMANT": "Every item that applies passed every repetition, and the devices agree with what the adapter said.",
-    "NOT CONFORMANT": "The adapter failed. Each cause is below: what was asked, what was said, what the device saw, what to change.",
+    "NOT CONFORMANT": "Each cause is below: what was asked, what was said, what the device saw, what to change.",
     "INDETERMINATE": "This run says nothing about the adapter: the kit itself failed.",
     "INCOMPLETE": "Not everything ran, so this run proves nothing yet.",
 }
@@ -58,6 +61,17 @@ _TONES = {"CONFORMANT": "good", "NOT CONFORMANT": "bad"}
 def _nothing_asked(run: Run) -> str:
     told = nothing_asked(run)
     return f"This run says nothing about the adapter: {told}." if told else ""
+
+
+def _failed(verdict: str, found: Sequence[Cause]) -> str:
+    """Say whether an adapter that failed only fell short, or said what was not so."""
+    if verdict != Verdict.NOT_CONFORMANT:
+        return ""
+    known = finding_codes()
+    false = sum(known[code].contradicts for cause in found if (code := cause.first["code"]) in known)
+    if not false:
+        return "The adapter failed."
+    return f"The adapter failed, and its device contradicts what it said ({false} of {counted(len(found), 'cause')})."
 
 
 def write_html(run: Run, path: Path) -> None:
@@ -91,7 +105,7 @@ def page(run: Run, certificate: str | None = None) -> str:
         certificate=certificate,
         verdict=verdict,
         tone=_TONES.get(verdict, "open"),
-        sentence=_nothing_asked(run) or _SENTENCES.get(verdict, ""),
+        sentence=_nothing_asked(run) or " ".join(filter(None, (_failed(verdict, found), _SENTENCES.get(verdict)))),
         partial=partial(run),
         counts=counts,
         counted=tell(counts),

@@ -703,3 +703,12 @@ def test_what_a_finding_about_the_device_shows_is_the_call_that_gave_its_value()
     other = in_words(calls, [], "the device should have seen one write, it saw none")
     assert other is not None
     assert other.asked == 'write_register {"address": 1, "value": 63409}'
+
+
+def test_the_verdict_says_whether_the_device_contradicts_the_adapter() -> None:
+    short = item("M2", "normal", "Modbus", "Read.", [2.0], failing=1)
+    for sample in short["samples"]:
+        sample["findings"] = [finding("deadline_missed", "it answered after 9 s", "TMO-001", "")]
+    assert "The adapter failed. Each cause is below" in Page(page(run([M1, short]))).text
+    told = "The adapter failed, and its device contradicts what it said (1 of 2 causes). Each cause"
+    assert told in Page(page(run([written_twice(), short]))).text
