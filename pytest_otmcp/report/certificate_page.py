@@ -12,6 +12,7 @@ from ..core.text import counted
 from ..protocols.registry import protocols
 from ..suite.requirements import Level
 from .page import filled
+from .text import calls_made
 
 __all__ = ["certificate_page"]
 
@@ -122,7 +123,7 @@ def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         (
             "Repetitions",
-            f"{total['passed']} of {total['planned']} passed, {counted(sum(counts['tool_calls'].values()), 'tool call')}; N = {settings['reps']}",
+            f"{total['passed']} of {total['planned']} passed, {calls_made(counts['tool_calls'])}; N = {settings['reps']}",
         ),
         *([("Walls", " ".join(walls))] if walls else []),
         *([("Challenge", settings["challenge"])] if "challenge" in settings else []),

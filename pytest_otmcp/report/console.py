@@ -6,12 +6,11 @@ looks like a verdict. The kit's own words are ASCII, for terminals that have not
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from ..core.matrix import KNOWN_SUITES, REQUIREMENTS
 from ..core.walls import missing
 from ..record.consistency import count_calls
-from ..record.schema import Counted
 from ..record.warnings import said, warnings
 from ..suite.levels import in_words, not_shown, standings
 from ..suite.levels import said as level_of
@@ -28,7 +27,7 @@ from .findings import beside, subject_keys
 from .limits import partial, unknown_tools
 from .overview import deviations, requirements
 from .strangers import strangers
-from .text import at_least, count, counted, printable, shortened
+from .text import at_least, calls_made, count, counted, printable, shortened
 
 __all__ = ["summary"]
 
@@ -184,7 +183,7 @@ def _warnings(run: Run, width: int) -> Iterator[Line]:
 
 def _counts(run: Run, width: int) -> Iterator[Line]:
     calls = count_calls(run["items"])
-    samples = sum(len(item["samples"]) for item in run["items"])
+    samples = sum(len(item["samples"]) for item in run["items"] if applies(item))
     # A killed run has no elapsed time.
     elapsed = run["footer"].get("elapsed_s")
     took = "" if elapsed is None else f" in {elapsed:.1f} s"
@@ -192,21 +191,13 @@ def _counts(run: Run, width: int) -> Iterator[Line]:
     subject = run["subject"]
     texts = [
         f"subject: {subject['name']} {subject['version']}".rstrip(),
-        f"{counted(samples, 'run')}, {_calls(calls)}{took}",
+        f"{counted(samples, 'run')}, {calls_made(calls)}{took}",
     ]
     if not timing_valid(run):
         texts.append("latencies withheld: the run was parallel, so they measure the neighbours too")
     for text in texts:
         for line in wrapped(text, width, "  "):
             yield line, "plain"
-
-
-def _calls(calls: Mapping[Counted, int]) -> str:
-    """Name the calls of the benchmark, and apart from them those of the requirement suite."""
-    checks = calls.get("check", 0)
-    told = [counted(calls["task"], "tool call")] if calls["task"] or not checks else []
-    told += [f"{counted(checks, 'tool call')} of the requirement suite"] if checks else []
-    return ", ".join(told)
 
 
 def _levels(run: Run, width: int) -> Iterator[Line]:

@@ -6,10 +6,31 @@ The adapter under test may have written any text in a run record: its messages, 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from ..core.text import counted, printable
+from ..record.schema import Counted
 
-__all__ = ["at_least", "clipped", "count", "counted", "interval", "number", "percent_down", "printable", "shortened"]
+__all__ = [
+    "at_least",
+    "calls_made",
+    "clipped",
+    "count",
+    "counted",
+    "interval",
+    "number",
+    "percent_down",
+    "printable",
+    "shortened",
+]
+
+
+def calls_made(calls: Mapping[Counted, int]) -> str:
+    """Name the calls of the benchmark, and apart from them those of the requirement suite; what prepares and surrounds them is not counted."""
+    checks, tasks = calls.get("check", 0), calls.get("task", 0)
+    told = [counted(tasks, "tool call")] if tasks or not checks else []
+    told += [f"{counted(checks, 'tool call')} of the requirement suite"] if checks else []
+    return ", ".join(told)
 
 
 def clipped(text: str, limit: int) -> str:
