@@ -179,7 +179,13 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         lines += _answer_rules(draft, form)
     lines += _unclaimed(draft)
     # The file cannot be read without this table, even an empty one.
-    lines += ["", f"# Its tools: {', '.join(draft.tools)}.", f"[adapter.{draft.protocol}.bind]"]
+    lines += [
+        "",
+        f"# Its tools: {', '.join(draft.tools)}.",
+        '# An operation of several calls, or with an argument that is made of others (a channel "H40"), is a Python function:',
+        '# bindings = "otmcp_bindings.py" in the table above; the guide to subject files has an example under "What TOML cannot say".',
+        f"[adapter.{draft.protocol}.bind]",
+    ]
     for operation, known in protocols()[draft.protocol].operations.items():
         if operation in draft.proposals or not (known.voluntary or operation in draft.lacking):
             lines += ["", *_binding(draft, operation, form)]

@@ -161,6 +161,20 @@ def long_integers_as_texts(server: AdapterServer) -> None:
         wrap(server, name, spelt)
 
 
+@choice("has tags with a scale and none with an offset", "an offset can be calculated by whoever reads the value")
+def tags_without_offset(server: AdapterServer) -> None:
+    def known(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            if arguments.tag == "otmcp_shifted":
+                raise AdapterError("illegal_address", "there is no such tag", outcome="not_sent", field="/tag")
+            return await genuine(call, arguments)
+
+        return handler
+
+    for name in ("read_tag", "write_tag"):
+        wrap(server, name, known)
+
+
 def polling(table: str, address: int, count: int) -> Change:
     def apply(server: AdapterServer) -> None:
         read: Read = getattr(tools_of(server), table)
