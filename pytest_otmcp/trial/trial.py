@@ -36,7 +36,13 @@ _GIVE_UP_AFTER = 3
 a few deadlines, not after thirty."""
 
 
-_RULES: Mapping[str, str | None] = {"control_channel": None, "no_reply": "TMO-001"}
+_RULES: Mapping[str, str | None] = {
+    "control_channel": None,
+    "no_reply": "TMO-001",
+    # It has started and listed its tools; what the subject file says of it besides is no requirement.
+    "connect_step": None,
+    "not_ready": None,
+}
 """Codes of what ended an item, to the requirement that is not met then; it is MCP-002 for every other."""
 _CHANGED: Mapping[ToolsChanged, str] = {
     "changed": "says something else",

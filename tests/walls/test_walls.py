@@ -343,6 +343,7 @@ told["core dumps"] = own != (1, 1)
 told["other limits"] = resource.setrlimit(resource.RLIMIT_NOFILE, resource.getrlimit(resource.RLIMIT_NOFILE)) is None
 for name, change in (("setrlimit", libc.setrlimit), ("prlimit", lambda kind, limit: libc.prlimit(0, kind, limit, None))):
     told[name] = change(resource.RLIMIT_CORE, (ctypes.c_ulong * 2)(0, 0)) == 0
+told["core dumps after that"] = resource.getrlimit(resource.RLIMIT_CORE) != own
 print(json.dumps(told), flush=True)
 sys.stdin.read()
 """
@@ -362,7 +363,13 @@ def test_what_namespaces_do_not_hold_is_refused(tmp_path: Path) -> None:
     finally:
         libc.syscall(KEYCTL[0], 3, key)
         isolation.close()
-    assert {name for name, worked in told.items() if worked} == {"AF_INET", "AF_UNIX", "other limits"}
+    assert {name for name, worked in told.items() if worked} == {
+        "AF_INET",
+        "AF_UNIX",
+        "other limits",
+        "setrlimit",
+        "prlimit",
+    }
 
 
 def test_at_a_cable_an_adapter_may_set_its_interface_up_and_open_packet_sockets(tmp_path: Path) -> None:
