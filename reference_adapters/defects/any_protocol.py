@@ -431,7 +431,7 @@ DEFECTS = (
         "Every call to the Modbus adapter is refused.",
         around()(rejects_everything),
         "M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
-        "ERR-002 RD-001 RD-004 REC-001 REC-002 not_proven",
+        "ERR-002 RD-001 REC-001 REC-002 not_proven",
         waits=True,
     ),
     defect(
@@ -440,7 +440,7 @@ DEFECTS = (
         "Every call to the MQTT adapter is refused.",
         around()(rejects_everything),
         "Q1 Q2 Q3 Q4 X1 X2 X1p X2p FQ1 FQ2 FX1 S2 S5 S8 S11",
-        "MQT-002 MQT-004 RD-004 REC-001 REC-002 not_proven",
+        "MQT-002 MQT-004 REC-001 REC-002 not_proven",
         waits=True,
     ),
     defect(
@@ -449,7 +449,7 @@ DEFECTS = (
         "Every call to the OPC UA adapter is refused.",
         around()(rejects_everything),
         "O1 O2 O3 O4 X1 X2 X1p X2p FO1 FO2 FX1 S3 S6 S9 S12",
-        "ERR-003 OUA-006 RD-001 RD-004 REC-001 REC-002 not_proven",
+        "ERR-003 OUA-006 RD-001 REC-001 REC-002 not_proven",
         waits=True,
     ),
     defect(
