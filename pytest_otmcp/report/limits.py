@@ -20,8 +20,8 @@ __all__ = ["narrowed", "partial", "unknown_tools"]
 _LESS = (Grade.NOT_CLAIMED, Grade.NOT_ASKED, Grade.UNDECIDED)
 _FULL = 30
 """Repetitions of the whole matrix."""
-_LETTERS = 60
-"""Letters of a tool's name."""
+_LETTERS, _MOST_NAMED = 60, 20
+"""Letters of a tool's name, and tools that a sentence names: an adapter may list thousands."""
 
 
 def narrowed(run: Run) -> list[str]:
@@ -66,7 +66,8 @@ def unknown_tools(run: Run) -> list[str]:
     told = {key: never_called(facts) for key, facts in run["subject"]["adapters"].items()}
     return [
         f"The {protocols()[key].name} adapter lists {counted(len(tools), 'tool')} that this run never called and says nothing about: "
-        f"{', '.join(clipped(tool, _LETTERS) for tool in tools)}"
+        f"{', '.join(clipped(tool, _LETTERS) for tool in tools[:_MOST_NAMED])}"
+        + (f" and {len(tools) - _MOST_NAMED} more" if len(tools) > _MOST_NAMED else "")
         for key, tools in told.items()
         if tools
     ]

@@ -229,3 +229,5 @@ def test_tools_that_were_never_called_are_named_beside_a_pass() -> None:
     assert "\x1b" not in text(record, 200)
     assert narrowed(record)[0].startswith(told)
     assert verdict(record)["never_called"] == {"opcua": ["flip", "read\x1b[8m"]}
+    record["subject"]["adapters"]["opcua"]["calls"] = {f"tool-{number}": 0 for number in range(1000)}
+    assert narrowed(record)[0].endswith("tool-18, tool-19 and 980 more.")

@@ -471,7 +471,7 @@ def test_an_adapter_that_takes_the_processor_from_itself_is_ended_all_the_same(
     finally:
         isolation.close()
     assert report.how == "killed"
-    # Of a minute that it would be granted once for each signal, nothing is left.
+    # Without a bound of its own it would be granted a minute for each of two requests to end.
     assert report.seconds < 30
 
 
