@@ -19,7 +19,7 @@ from pytest_otmcp.cli import Refusal
 from pytest_otmcp.cli.files import content
 from pytest_otmcp.cli.signature import signer
 from pytest_otmcp.core.errors import UsageError
-from pytest_otmcp.core.files import digest, new_file, new_file_below, read, remove_below, remove_tree
+from pytest_otmcp.core.files import digest, new_file, new_file_below, read, remove_below
 from pytest_otmcp.record.reader import RecordError, open_record
 from pytest_otmcp.record.schema import SCHEMA
 from pytest_otmcp.record.writer import RunWriter, SampleSpool
@@ -154,32 +154,3 @@ def test_a_file_of_any_size_costs_nothing_to_refuse(tmp_path: Path) -> None:
         file.truncate(1 << 40)
     with pytest.raises(OSError, match="too large"):
         digest(sparse)
-
-
-def test_a_folder_is_removed_however_deep_it_is_and_whatever_is_in_it(tmp_path: Path) -> None:
-    folder, outside = tmp_path / "work", tmp_path / "outside"
-    folder.mkdir()
-    outside.mkdir()
-    (outside / "file").write_text("stays")
-    at = os.open(folder, os.O_RDONLY)
-    for _ in range(3000):
-        os.mkdir("d", dir_fd=at)
-        os.symlink(outside, "a link", dir_fd=at)
-        at, above = os.open("d", os.O_RDONLY, dir_fd=at), at
-        os.close(above)
-    os.mkfifo("a pipe", dir_fd=at)
-    os.close(at)
-    (folder / "otmcp-0").mkdir()
-    (folder / "otmcp-1").write_text("has such a name")
-    os.chmod(folder / "d" / "d", 0)
-    os.chmod(folder / "d", 0)
-    remove_tree(str(folder))
-    assert os.listdir(tmp_path) == ["outside"]
-    assert (outside / "file").read_text() == "stays"
-
-
-def test_of_a_folder_that_is_not_there_nothing_is_removed(tmp_path: Path) -> None:
-    remove_tree(str(tmp_path / "work"))
-    (tmp_path / "link").symlink_to(tmp_path)
-    remove_tree(str(tmp_path / "link"))
-    assert os.listdir(tmp_path) == ["link"]
