@@ -99,11 +99,12 @@ async def repetitions_are_bounded(run: Repetition, at: Rig, retimed: Rig | None 
     """
     await a_read_works(run, at)
     reply, same = await _read_in_silence(run, at)
+    # Who polls does so again when the device answers again.
+    await answers_again(run, at)
     attempts = _attempts(reply)
     if attempts is not None and len(same) > attempts and not await polls(at, same):
         message = f"{reply.label}: meta.attempts says {attempts}, the device saw the same request {len(same)} times"
         run.finding("repeated", message, "TMO-002", evidence=protocols()[at.protocol].seen(same))
-    await answers_again(run, at)
     if retimed is not None:
         await _settings_have_their_effect(run, retimed)
 
@@ -126,7 +127,6 @@ async def _settings_have_their_effect(run: Repetition, at: Rig) -> None:
     found: list[Finding] = []
     for _ in range(2):
         found = await _ignored_settings(run, at)
-        await answers_again(run, at)
         if not found:
             return
     run.witnessed(found)
@@ -136,6 +136,7 @@ async def _ignored_settings(run: Repetition, at: Rig) -> list[Finding]:
     times = at.subject.times
     assert times is not None
     reply, same = await _read_in_silence(run, at)
+    await answers_again(run, at)
     deadline_ms = times.deadline_s * at.time_scale * 1000
     said = f"{reply.label}: with the settings of the launch 'retimed'"
     found = []
@@ -199,9 +200,9 @@ async def a_cancelled_call_ends(run: Repetition, at: Rig) -> None:
     await at.device.fault()
     await at.watch(QUIET_S)
     same = _repeated(at, since(reply, await at.journal()))
+    await answers_again(run, at)
     if len(same) > 1 and not await polls(at, same):
         _once(run, at, reply, same)
-    await answers_again(run, at)
 
     await at.device.fault(*faulty(asks.writes, **silence(at)))
     asked = asks.write(run.rng)
