@@ -5,6 +5,7 @@ Programs judge ``certificate.json``; this page repeats it on a sheet of paper, a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -31,7 +32,7 @@ def certificate_page(certificate: Mapping[str, Any], sha256: str, *, signed: boo
     return filled(
         "certificate.html.jinja",
         subject=subject["name"],
-        rows=[_row(protocol, facts, told) for protocol, facts in told["adapters"].items()],
+        levels=list(_levels(told)),
         facts=_facts(told),
         digests=[
             ("Subject file", subject["digest"]["sha256"]),
@@ -52,19 +53,26 @@ def certificate_page(certificate: Mapping[str, Any], sha256: str, *, signed: boo
     )
 
 
-def _row(protocol: str, facts: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, str]:
-    level = told["level"]["awarded"].get(protocol)
-    name = protocols()[protocol].name
+def _levels(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield each level that was earned, and "no level", with what it allows, the protocols, and what was passed at each."""
+    awarded = told["level"]["awarded"]
+    for level in dict.fromkeys(awarded.get(protocol) for protocol in told["adapters"]):
+        earning = [protocol for protocol in told["adapters"] if awarded.get(protocol) == level]
+        yield {
+            "level": "no level" if level is None else level.capitalize(),
+            "meaning": _meaning(level),
+            "protocols": ", ".join(protocols()[protocol].name for protocol in earning),
+            "passed": [_passed(protocol, told) for protocol in earning],
+        }
+
+
+def _passed(protocol: str, told: Mapping[str, Any]) -> str:
+    facts, name = told["adapters"][protocol], protocols()[protocol].name
     count = told["items"][name]
-    return {
-        "protocol": name,
-        "level": "no level" if level is None else level.capitalize(),
-        "meaning": _meaning(level),
-        "passed": f"{count['passed']} of {count['of']} {name} items"
-        + (" (what was not tested stands below)" if count["passed"] < count["of"] else ""),
-        "deadline": f"every call within {facts['deadline_s']:g} s",
-        "server": " ".join(filter(None, (facts["server"]["name"], facts["server"]["version"]))),
-    }
+    below = " (what was not tested stands below)" if count["passed"] < count["of"] else ""
+    server = " ".join(filter(None, (facts["server"]["name"], facts["server"]["version"])))
+    called = f"; it calls itself {server}" if server else ""
+    return f"It passed {count['passed']} of {count['of']} {name} items{below}, every call within {facts['deadline_s']:g} s{called}."
 
 
 def _not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
@@ -77,31 +85,42 @@ def _not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         )
         yield from ((name, facet, "claimed, and no item needed it") for facet in facets["claimed_not_exercised"])
         yield from ((name, output, "not found in its answers") for output in facts["outputs_not_judged"])
-    yield from (("", item, why) for item, why in told["not_applicable"].items())
+    reasons: dict[str, list[str]] = {}
+    for item, why in told["not_applicable"].items():
+        facet = re.match(r"\w+", why)
+        # What the subject does not speak is not about it.
+        if facet is None or facet[0] in told["adapters"] or facet[0] not in protocols():
+            reasons.setdefault(why, []).append(item)
+    yield from (("", ", ".join(items), why) for why, items in reasons.items())
 
 
 def _programs(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield what each adapter's command starts, as far as the kit can know it, each with its digest."""
+    """Yield what the adapters' commands start, as far as the kit can know it, each with its digest; what is the same for some once."""
+    digests: dict[tuple[str, str], list[str]] = {}
     for protocol, facts in told["adapters"].items():
-        tested, name = facts["tested"], protocols()[protocol].name
+        tested = facts["tested"]
         if tested is None:
             continue
         for what, digest in (
-            (f"{name}, {tested['program']}", tested["program_sha256"]),
-            (f"{name}, {counted(tested['files'], 'file')} of its own", tested["files_sha256"]),
-            (f"{name}, {counted(tested['packages'], 'list')} of packages", tested["packages_sha256"]),
+            (tested["program"], tested["program_sha256"]),
+            (f"{counted(tested['files'], 'file')} of its own", tested["files_sha256"]),
+            (counted(tested["packages"], "list") + " of packages", tested["packages_sha256"]),
         ):
             if digest is not None:
-                yield what, digest.partition(":")[2]
+                digests.setdefault((what, digest.partition(":")[2]), []).append(protocols()[protocol].name)
+    for (what, sha256), names in digests.items():
+        yield f"{', '.join(names)}: {what}", sha256
 
 
 def _unknown_files(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the adapters of whose own files the kit knows none."""
+    programs: dict[str, list[str]] = {}
     for protocol, facts in told["adapters"].items():
         tested = facts["tested"]
         if tested is not None and tested["files_sha256"] is None and tested["image"] is None:
-            about = f"none that the kit knows: the digest is that of {tested['program']}"
-            yield f"{protocols()[protocol].name}, its own files", about
+            programs.setdefault(tested["program"], []).append(protocols()[protocol].name)
+    for program, names in programs.items():
+        yield f"{', '.join(names)}: own files", f"none that the kit knows: the digest is that of {program}"
 
 
 def _meaning(level: str | None) -> str:

@@ -1,4 +1,5 @@
-"""axe-core finds no error of accessibility in the pages that the kit writes, light and dark, on a screen and a telephone."""
+"""axe-core finds no error of accessibility in the pages that the kit writes, light and dark, on a screen and a telephone; the certificate
+is one sheet of paper."""
 
 from __future__ import annotations
 
@@ -54,7 +55,19 @@ PAGES = {
 }
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+def browsed(page: Path, *options: str) -> str:
+    """Open a page in a browser of its own, and return what that writes."""
+    assert CHROMIUM is not None
+    profile = page.with_name("profile")
+    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={profile}", *options]
+    done = subprocess.run([*command, page.as_uri()], capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+    return done.stdout
+
+
+in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+
+
+@in_a_browser
 @pytest.mark.parametrize("look", LOOKS)
 @pytest.mark.parametrize("name", PAGES)
 def test_axe_finds_no_error(npm: Npm, tmp_path: Path, name: str, look: str) -> None:
@@ -64,14 +77,14 @@ def test_axe_finds_no_error(npm: Npm, tmp_path: Path, name: str, look: str) -> N
     asking = f'<script src="{axe}"></script><script>{ASK}</script></body>'
     path = tmp_path / "page.html"
     path.write_text(html.replace("<details", "<details open").replace("</body>", asking), encoding="utf-8")
-    assert CHROMIUM is not None
-    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}"]
-    done = subprocess.run(
-        [*command, *LOOKS[look], "--virtual-time-budget=60000", "--dump-dom", path.as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=True,
-    )
-    violations = json.loads(unescape(re.findall("<title>(.*?)</title>", done.stdout, re.DOTALL)[0]))
+    told = browsed(path, *LOOKS[look], "--virtual-time-budget=60000", "--dump-dom")
+    violations = json.loads(unescape(re.findall("<title>(.*?)</title>", told, re.DOTALL)[0]))
     assert [(one["id"], [node["html"] for node in one["nodes"]][:3]) for one in violations] == []
+
+
+@in_a_browser
+def test_a_certificate_is_one_sheet_of_paper(tmp_path: Path) -> None:
+    path, printed = tmp_path / "page.html", tmp_path / "page.pdf"
+    path.write_text(PAGES["certificate"](), encoding="utf-8")
+    browsed(path, f"--print-to-pdf={printed}", "--no-pdf-header-footer")
+    assert len(re.findall(rb"/Type /Page\b", printed.read_bytes())) == 1

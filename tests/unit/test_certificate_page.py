@@ -40,11 +40,12 @@ def test_a_level_is_said_with_what_it_allows(statement: dict[str, Any]) -> None:
     told = statement["predicate"]["otmcp"]
     count = told["items"]["Modbus"]
     allowed = "may be connected to a plant for reading, and may write there while a person watches"
-    assert f"Modbus: Silver This adapter {allowed}. It passed {count['passed']} of {count['of']} Modbus items" in shown(
-        statement
-    )
+    of_modbus = f"This adapter {allowed}. It passed {count['passed']} of {count['of']} Modbus items"
+    assert f"Modbus, OPC UA: Silver {of_modbus}" in shown(statement)
     told["level"]["awarded"]["modbus"] = None
-    assert "Modbus: no level This adapter has earned no level, which" in shown(statement)
+    words = shown(statement)
+    assert "Modbus: no level This adapter has earned no level, which" in words
+    assert f"OPC UA: Silver This adapter {allowed}. It passed" in words
 
 
 def test_what_is_not_claimed_is_there_with_the_reason_of_the_vendor_and_none_of_its_marks(
@@ -76,12 +77,12 @@ def test_the_program_that_was_started_is_named_with_its_digest(statement: dict[s
     }
     statement["predicate"]["otmcp"]["adapters"]["modbus"]["tested"] = tested
     page = shown(statement)
-    assert f"Modbus, acme-modbus sha256 {'e' * 64}" in page
-    assert f"Modbus, 3 files of its own sha256 {'f' * 64}" in page
-    assert f"Modbus, 1 list of packages sha256 {'0' * 64}" in page
-    assert "its own files" not in page
+    assert f"Modbus: acme-modbus sha256 {'e' * 64}" in page
+    assert f"Modbus: 3 files of its own sha256 {'f' * 64}" in page
+    assert f"Modbus: 1 list of packages sha256 {'0' * 64}" in page
+    assert "own files" not in page
     tested |= {"files": 0, "files_sha256": None}
-    assert "Modbus, its own files none that the kit knows: the digest is that of acme-modbus" in shown(statement)
+    assert "Modbus: own files none that the kit knows: the digest is that of acme-modbus" in shown(statement)
 
 
 def test_a_run_for_a_challenge_names_it(statement: dict[str, Any]) -> None:
@@ -113,11 +114,17 @@ def test_what_the_items_used_and_what_they_did_not_read_is_named(statement: dict
 def test_what_was_not_tested_stands_above_the_digests(statement: dict[str, Any]) -> None:
     told = statement["predicate"]["otmcp"]
     told["adapters"]["modbus"]["facets"]["claimed_not_exercised"] = ["publish.qos"]
-    told["not_applicable"] = {"WR-014.modbus": "the subject file has no named commands"}
+    why = "modbus.commands: the subject file has no named commands"
+    told["not_applicable"] = {
+        "WR-014.modbus": why,
+        "ADR-003.modbus": why,
+        "Q1": "mqtt.info: the subject has no adapter for MQTT",
+    }
     words = shown(statement)
+    assert "MQTT" not in words
     for told_of in (
         "Modbus, publish.qos : claimed, and no item needed it",
-        "WR-014.modbus : the subject file has no named commands",
+        "WR-014.modbus, ADR-003.modbus : modbus.commands: the subject file has no named commands",
     ):
         assert words.index("What was not tested") < words.index(told_of) < words.index("What was tested")
     assert "Whoever shows this certificate ran the kit, at simulated devices. It is not signed;" in words
