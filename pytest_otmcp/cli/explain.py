@@ -28,9 +28,9 @@ def add_parser(subparsers: Any) -> None:
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "explain",
         help="say what an item, a requirement, a level or a code means",
-        description="Say in plain words what an item (M3), a requirement (WR-003), a level (Bronze), a profile (mb-r), an error code "
-        "(illegal_address) or the code of a finding (wrong_value) means: what is asked, what must be said and seen, why, and by "
-        "which source.",
+        description="Say in plain words what an item (M3), a requirement (WR-003), a level (Bronze), a profile (mb-r), a facet "
+        "(modbus.guard), an error code (illegal_address) or the code of a finding (wrong_value) means: what is asked, what must be said "
+        "and seen, why, and by which source.",
     )
     asked = parser.add_argument(
         "id", metavar="ID", nargs="*", help="an id as reports print it; without one, list them all"
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
                 raise UsageError(f"{identifier} is a defect of the self-check: 'otmcp self-check {identifier}' runs it")
             hint = " or ".join(near(identifier))
             raise UsageError(
-                f"there is no item, requirement, level, profile or code {identifier!r}; "
+                f"there is no item, requirement, level, profile, facet or code {identifier!r}; "
                 + (
                     f"did you mean {hint}?"
                     if hint

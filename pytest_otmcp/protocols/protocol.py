@@ -28,6 +28,7 @@ __all__ = [
     "CLIENT_CERTIFICATE",
     "COMMANDS",
     "CONTROL_GUARD",
+    "FACETS",
     "GOVERNANCE",
     "GUARD",
     "LAUNCHES",
@@ -49,25 +50,16 @@ __all__ = [
 ]
 
 GUARD = "guard"
-"""Facet: the adapter can be launched in a way in which it refuses every write (the variant ``ro``)."""
-
 CONTROL_GUARD = "control_guard"
-"""Facet: the adapter can be launched in a way in which it writes, and refuses what controls the device itself (``no_control``)."""
-
 BOUNDS = "bounds"
-"""Facet: the adapter can be launched with a list of targets that may be written, or with limits of their values (``bounded``)."""
-
 TIMES = "times"
-"""Facet: the adapter can be launched with other time limits and numbers of repetitions than its usual ones (``retimed``)."""
-
 SECURE = "secure"
-"""Facet: the adapter can be launched for the secure form of the protocol (``secure``), where the protocol has one."""
-
 GOVERNANCE = "governance"
-"""Facet: the adapter can be launched with a policy of what may be written, and what it has of an audit log and approvals (``governed``)."""
-
 TOKENS = "tokens"
-"""Facet: the adapter can be launched as an HTTP server that takes the tokens of an issuer (``tokens``)."""
+CLIENT_CERTIFICATE = "client_certificate"
+ACCOUNT = "account"
+COMMANDS = "commands"
+RECOVERY = "recovery"
 
 LAUNCHES: Mapping[str, str] = {
     GUARD: "ro",
@@ -80,17 +72,20 @@ LAUNCHES: Mapping[str, str] = {
 }
 """Facets that are launches of their own, to the variant of the adapter that has the facet."""
 
-CLIENT_CERTIFICATE = "client_certificate"
-"""Facet: the launch for the secure form of the protocol is given a certificate of the adapter's own."""
-
-ACCOUNT = "account"
-"""Facet: the launch for the secure form of the protocol is given the user and the password of an account of the device."""
-
-COMMANDS = "commands"
-"""Facet: the adapter has tools with a vocabulary of their own, whose effect on the device the subject file states."""
-
-RECOVERY = "recovery"
-"""Facet: after an outage of the endpoint the same session works again."""
+FACETS: Mapping[str, str] = {
+    GUARD: "the adapter can be launched so that it refuses every write",
+    CONTROL_GUARD: "the adapter can be launched so that it writes, and refuses what controls the device itself",
+    BOUNDS: "the adapter can be launched with a list of targets that may be written, or with limits of their values",
+    TIMES: "the adapter can be launched with other time limits and numbers of repetitions than its usual ones",
+    SECURE: "the adapter can be launched for the secure form of the protocol",
+    GOVERNANCE: "the adapter can be launched with a policy of what may be written, and what it has of an audit log and approvals",
+    TOKENS: "the adapter can be launched as an HTTP server that takes the tokens of an issuer",
+    CLIENT_CERTIFICATE: "the launch 'secure' is given a certificate of the adapter's own, {cert}",
+    ACCOUNT: "the launch 'secure' is given {user} and {password}, an account of the device",
+    COMMANDS: "the adapter has tools with a vocabulary of their own, whose effect on the device the subject file states",
+    RECOVERY: "after an outage of the device the same session works again",
+}
+"""Facets that are no operations, to what each says of an adapter."""
 
 ANY_READ = "any_read"
 """Facet that tasks need: one of the operations that the device itself has to answer, whichever the subject has."""

@@ -1,4 +1,4 @@
-"""What an id means: of an item, a requirement, an error code or the code of a finding. Pure.
+"""What an id means: of an item, a requirement, a facet, an error code or the code of a finding. Pure.
 
 ``otmcp explain`` prints it, the pages in ``docs/`` are made of it, and reports take their sentences from here.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from ..core.error_registry import ErrorCode, registry, wire_codes
 from ..core.finding_registry import FindingCode, finding_codes
-from ..protocols.protocol import ANY_READ, READ, READ_OR_STATUS, WRITE
+from ..protocols.protocol import ANY_READ, COMMANDS, FACETS, LAUNCHES, READ, READ_OR_STATUS, WRITE
 from ..protocols.registry import protocols
 from ..trial.explanation import explanation
 from ..trial.task import Task
@@ -26,6 +26,7 @@ __all__ = [
     "Part",
     "error_code",
     "explained",
+    "facets",
     "finding_code",
     "findings",
     "identifiers",
@@ -45,6 +46,9 @@ HOW_A_LEVEL_IS_EARNED = (
 )
 
 _SOCKETS = ("pytest_otmcp.core", "errors.toml", "socket")
+_ALIKE = 0.7
+"""How much of an unknown id has to be in a known one, of 1, for it to have been meant."""
+
 _REPEAT = {
     "yes": "May be repeated as it is",
     "no": "Must not be repeated without changing something",
@@ -57,7 +61,7 @@ class Explained:
     """One id in words.
 
     Attributes:
-        kind: ``item``, ``requirement``, ``level``, ``profile``, ``error code`` or ``finding code``.
+        kind: ``item``, ``requirement``, ``level``, ``profile``, ``facet``, ``error code`` or ``finding code``.
         about: the sentence for it.
         parts: what else there is to say; none is empty.
     """
@@ -85,23 +89,30 @@ def explained(identifier: str) -> list[Explained]:
         found.append(error_code(code))
     if identifier in findings():
         found.append(finding_code(identifier))
+    if identifier in facets():
+        found.append(_explained_facet(identifier))
     return found
 
 
 def near(identifier: str) -> list[str]:
     """Return the ids that an unknown one may have been meant for, the nearest first."""
     folded = _by_folded()
-    return [folded[name] for name in difflib.get_close_matches(identifier.casefold(), folded, 3)]
+    return [folded[name] for name in difflib.get_close_matches(identifier.casefold(), folded, 3, _ALIKE)]
 
 
 def _by_folded() -> dict[str, str]:
-    return {name.casefold(): name for name in identifiers()}
+    return {name.casefold(): name for name in (*facets(), *identifiers())}
 
 
 def identifiers() -> list[str]:
     """Return every id that can be explained, each once."""
     names = [*known_tasks(), *requirements(), *_levels(), *catalogue().profiles, *registry(), *findings()]
     return list(dict.fromkeys(names))
+
+
+def facets() -> list[str]:
+    """Return every facet that a subject may claim, with its protocol; those that all protocols have also without one."""
+    return [*FACETS, *(f"{key}.{name}" for key, protocol in protocols().items() for name in protocol.facets)]
 
 
 def findings() -> dict[str, tuple[FindingCode, str | None]]:
@@ -250,6 +261,36 @@ def finding_code(code: str) -> Explained:
         ("In the subject file", tuple(keys_of_code(code))),
         ("Protocol", (protocol or "",)),
     )
+
+
+def _explained_facet(identifier: str) -> Explained:
+    """Explain what a subject may claim: an operation, an input or output of one, or another thing."""
+    key, _, name = ("", "", identifier) if identifier in FACETS else identifier.partition(".")
+    first, _, part = name.partition(".")
+    operation = protocols()[key].operations.get(first) if key else None
+    table = f"[adapter.{key or 'KEY'}"
+    if operation is None:
+        about, claimed = FACETS[name], f"{table}.{LAUNCHES[name]}]" if name in LAUNCHES else ""
+        claimed = f"{table}.{COMMANDS}.NAME]" if name == COMMANDS else claimed
+    else:
+        about = f"{part!r} of the operation {first}: {operation.meaning}" if part else operation.meaning
+        claimed = f"{table}.bind] {first}"
+    needing = [
+        task.id for task in all_tasks().values() if identifier in (task.needs if key else map(_of_any, task.needs))
+    ]
+    return _explained(
+        identifier,
+        "facet",
+        f"{about[0].upper()}{about[1:].rstrip('.')}.",
+        ("In the subject file", (claimed, f"{table}] unclaimed, with the reason, where the adapter cannot do it")),
+        ("Inputs", (_list(operation.accepted) if operation and not part else "",)),
+        ("Outputs", (_list(operation.readable) if operation and not part else "",)),
+        ("Items that need it", (_list(needing),)),
+    )
+
+
+def _of_any(need: str) -> str:
+    return need.partition(".")[2]
 
 
 def _cited(identifier: str) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
 from pytest_otmcp import cli
 from pytest_otmcp.suite.catalogue import all_tasks
-from pytest_otmcp.suite.explanations import explained
+from pytest_otmcp.suite.explanations import explained, facets
 from pytest_otmcp.suite.requirements import requirements
 from pytest_otmcp.trial.explanation import Explanation, explanation
 
@@ -44,6 +45,33 @@ def test_a_requirement_is_told_with_its_source_and_what_is_related(capsys: pytes
     assert "Items about it M3, Q3," in with_related
     assert f"Source {requirements()['MCP-001'].source} " in without
     assert "Related" not in without
+
+
+@pytest.mark.parametrize(
+    ("facet", "about", "claimed"),
+    [
+        ("modbus.guard", "The adapter can be launched so that it refuses every write.", "[adapter.modbus.ro]"),
+        ("recovery", "After an outage of the device the same session works again.", "[adapter.KEY] unclaimed, with"),
+        ("opcua.commands", "tools with a vocabulary of their own", "[adapter.opcua.commands.NAME]"),
+        ("MQTT.subscribe.qos", "'qos' of the operation subscribe: ", "[adapter.mqtt.bind] subscribe"),
+        ("opcua.write", "Write a variable's value.", "[adapter.opcua.bind] write"),
+    ],
+)
+def test_a_facet_is_told_with_where_it_is_claimed(
+    facet: str, about: str, claimed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = told(capsys, facet)
+    assert text.startswith(f"{facet.lower()} (facet): ")
+    assert about in text
+    assert f"In the subject file {claimed}" in text
+
+
+@pytest.mark.parametrize("facet", facets())
+def test_every_facet_is_explained_with_the_items_that_need_it(facet: str) -> None:
+    (found,) = explained(facet)
+    for task in all_tasks().values():
+        needed = facet in task.needs or ("." not in facet and any(need.endswith(f".{facet}") for need in task.needs))
+        assert needed == (task.id in re.split(", | and ", dict(found.parts).get("Items that need it", ("",))[0]))
 
 
 def test_a_requirement_is_told_with_what_to_change_in_every_library(capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,7 +151,7 @@ def test_an_unknown_id_is_one_sentence(unknown: str, hint: str, capsys: pytest.C
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.count("\n") == 1
-    assert f"there is no item, requirement, level, profile or code {unknown!r}; " in printed.err
+    assert f"there is no item, requirement, level, profile, facet or code {unknown!r}; " in printed.err
     assert hint in printed.err
 
 
