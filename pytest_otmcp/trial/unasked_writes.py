@@ -8,6 +8,7 @@ To cancel a call is advice (MCP, Cancellation): a write that is carried out once
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -170,8 +171,9 @@ def _finding(
     window = windows[-1] if windows else None
     failed = [call for earlier in windows[:-1] for call in _writing(earlier, protocol) if not call.reply.success]
     if failed and window is not None and not _writing(window, protocol):
-        became, requirement = _became(failed[-1])
-        message = f"{failed[-1].reply.label}: {became}, and the device saw {what} after that"
+        late = _meant(failed, what)
+        became, requirement = _became(late)
+        message = f"{late.reply.label}: {became}, and the device saw {what} after that"
         return Finding(code="unasked_write", message=message, requirement=requirement), None
     if window is None or (entry["t_ns"] > window.end_ns + LATE_NS and not _writing(window, protocol)):
         message = f"while nobody called the adapter the device saw {what}, which changes the plant"
@@ -192,6 +194,12 @@ def _finding(
     count = _effects(call)
     message = f"{call.reply.label}: {'one write was' if count == 1 else f'{count} writes were'} asked for, the device saw {what} as well"
     return Finding(code="unasked_write", message=message, requirement="WR-003"), None
+
+
+def _meant(failed: Sequence[Judged], what: str) -> Judged:
+    """Return the call, of those that failed, that a late request is of: the last of those with most values that the request has."""
+    words = re.findall(r"[\w.+-]+", what)
+    return max(reversed(failed), key=lambda call: sum(str(value) in words for value in call.inputs.values()))
 
 
 def _became(call: Judged) -> tuple[str, str]:

@@ -207,6 +207,23 @@ def test_every_write_at_the_device_was_asked_for(
     assert strays(*(entry(ms, function=6) for ms in times), calls=calls, variant=variant) == found
 
 
+@pytest.mark.parametrize("late", [4711, 4712, 4713])
+def test_a_late_write_is_of_the_failed_call_that_asked_for_its_value(late: int) -> None:
+    made = [call("write_holding", at=1, error=FAILED), call("write_holding", at=3, error=FAILED), call(at=200)]
+    named = [
+        replace(
+            one,
+            inputs={"unit": 1, "address": 7, "value": value},
+            reply=replace(one.reply, exchange=replace(one.reply.exchange, arguments={"value": value})),
+        )
+        for one, value in zip(made, (4711, 4712), strict=False)
+    ]
+    ((found, _),) = unasked(MODBUS, [*named, made[-1]], [entry(201, function=6, address=7, values=[late])])
+    # A value that nobody asked for is of the last call.
+    assert f"value={min(late, 4712)}" in found.message
+    assert found.requirement == "WR-010"
+
+
 def message(ms: float, **fields: Any) -> JournalEntry:
     asks = {"kind": "PUBLISH", "direction": "in", "request": True, "state_changing": True, "answers": None}
     says = {
