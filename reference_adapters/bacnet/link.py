@@ -24,7 +24,7 @@ from bacpypes3.apdu import (
     WhoIsRequest,
 )
 from bacpypes3.app import Application
-from bacpypes3.appservice import ApplicationServiceAccessPoint
+from bacpypes3.appservice import ABORTED, ApplicationServiceAccessPoint
 from bacpypes3.comm import bind
 from bacpypes3.ipv4.link import NormalLinkLayer
 from bacpypes3.local.device import DeviceObject
@@ -44,7 +44,7 @@ _TRANSMISSIONS = 2
 _OWN_INSTANCE = 4194302
 _VENDOR = 999
 _FORGETTING_MS = 10_000
-"""Milliseconds after which the library gives a request up, which was given up here before."""
+"""Milliseconds after which the library would give a request up, which is given up here before."""
 
 
 class _Unreadable(Exception):
@@ -83,6 +83,12 @@ class _Client(Application):  # type: ignore[misc]  # the library is not typed
         concerned = [one for one, asked in self.waiting.items() if asked == apdu.pduSource and not one.done()]
         if len(concerned) == 1:
             concerned[0].set_exception(_Unreadable())
+
+    def forget(self, request: ConfirmedRequestPDU) -> None:
+        """Give a request up, also where the library keeps it: when its time was over there, it would end the next one with its invoke id."""
+        for transaction in list(self.asap.clientTransactions):
+            if (transaction.invokeID, transaction.pdu_address) == (request.apduInvokeID, request.pduDestination):
+                transaction.set_state(ABORTED)
 
 
 class Link:
@@ -153,6 +159,7 @@ class Link:
                 raise Lost(silence) from None
             finally:
                 del client.waiting[pending]
+                client.forget(request)
 
         try:
             answer = await repeat_once(call, transmission)

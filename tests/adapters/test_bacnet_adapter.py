@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
+import asyncio
+import socket
 from importlib import import_module
 from typing import Any
 
 import pytest
-from pytest_otmcp.reference_adapters.core import ConfigError
+from bacpypes3.apdu import ReadPropertyRequest
+from pytest_otmcp.reference_adapters.core import Call, ConfigError
 
 from .cases import BACNET, Unfit
 
@@ -201,6 +204,30 @@ def test_a_write_without_an_answer_is_not_sent_again(adapter: Any, device: Any) 
     again = adapter.call("read_property", **VALVE)
     assert again.data["value"] == 30.5
     assert again.meta["connection"]["state"] == "reconnected"
+
+
+def test_a_request_that_was_given_up_does_not_end_a_later_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    link = import_module("pytest_otmcp.reference_adapters.bacnet.link")
+    # The library's patience ends here while later requests have the invoke ids of those that it remembers.
+    monkeypatch.setattr(link, "_FORGETTING_MS", 500)
+
+    def read(target: Any) -> Any:
+        return ReadPropertyRequest(
+            objectIdentifier="analog-input,1", propertyIdentifier="present-value", destination=target
+        )
+
+    async def codes(silent: int) -> list[str]:
+        asking, found = link.Link("127.0.0.1", silent, timeout_s=0.4), []
+        for _ in range(3):
+            calls = [Call(protocol="bacnet", operation="read", endpoint="", writes=False) for _ in range(128)]
+            told = await asyncio.gather(*(asking.ask(call, None, read) for call in calls), return_exceptions=True)
+            found += [one.code for one in told]
+        await asking.close()
+        return found
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        assert set(asyncio.run(codes(silent.getsockname()[1]))) == {"timeout"}
 
 
 def test_a_device_that_is_not_there_is_not_answered_for_by_another(adapter: Any, device: Any) -> None:
