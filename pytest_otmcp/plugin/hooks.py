@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from _pytest.junitxml import xml_key
 
 from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
@@ -45,6 +44,7 @@ from .fixtures.definitions import (
     otmcp_session,
     otmcp_subject,
 )
+from .junit import JUnitFile, tell_junit
 from .options import add_options, read_settings
 from .parallel import UNFINISHED, ended, untaken
 from .selected import known_rows, refuse, required_tasks, select_adapters
@@ -138,6 +138,7 @@ def pytest_configure(config: pytest.Config) -> None:
         )
     default_to_suite(config)
     if asks_for_suite(config):
+        config.pluginmanager.register(JUnitFile(config))
         # The suite has no asynchronous fixtures; without an ini of the user's, this would be the first thing that a run shows.
         warnings.filterwarnings("ignore", 'The configuration option "asyncio_default_fixture_loop_scope" is unset')
         if getattr(config.option, "maxschedchunk", 1) is None:
@@ -550,7 +551,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         _exit_status(exitstatus, recorder, session.testsfailed) if unrestored is None else ExitCode.INDETERMINATE
     )
     with ignore_warnings():
-        _tell_junit(config, recorder)
+        tell_junit(config, recorder)
 
 
 def _close(run: Run) -> str | None:
@@ -562,21 +563,6 @@ def _close(run: Run) -> str | None:
     except KitError as error:
         return str(error)
     return None
-
-
-def _tell_junit(config: pytest.Config, recorder: RunRecorder) -> None:
-    """Give a JUnit file what the run as a whole says."""
-    file = config.stash.get(xml_key, None)
-    if file is None or not recorder.statuses:
-        return
-    from ..record.condensed import condensed
-    from ..record.reader import open_record
-    from ..report.verdict_file import properties
-
-    with open_record(recorder.path, allow_incomplete=True) as stored:
-        run = condensed(stored)
-    for name, value in properties(run).items():
-        file.add_global_property(name, value)
 
 
 def _take_from_workers(config: pytest.Config, recorder: RunRecorder, nodes: list[Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from xml.etree import ElementTree
 
 import pytest
 
@@ -133,6 +134,16 @@ def test_an_adapter_without_the_tool_that_its_subject_names_is_a_usage_error(rep
         assert "the adapter lists no tool 'pingg'; did you mean 'ping'?" in outcome.output
         assert "VERDICT" not in outcome.output
         assert "Traceback" not in outcome.output
+
+
+def test_a_refused_run_is_an_error_in_its_junit_file(repository: Repository) -> None:
+    repository.write(otmcp_toml='[subject]\nnaem = "typing"\n')
+    outcome = repository.pytest("--otmcp-reps=1", "--junit-xml=junit.xml")
+    assert outcome.code == 2, outcome.output
+    (suite,) = ElementTree.parse(repository.root / "junit.xml").iter("testsuite")
+    (error,) = suite.iter("error")
+    assert (suite.get("tests"), suite.get("errors")) == ("1", "1")
+    assert "subject.naem: unknown key; did you mean 'name'?" in (error.get("message") or "")
 
 
 @pytest.mark.long

@@ -1,0 +1,47 @@
+"""What a JUnit file says of the run as a whole."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from _pytest.junitxml import xml_key
+
+from ..core.text import one_line
+
+if TYPE_CHECKING:
+    from .controller import RunRecorder
+
+__all__ = ["JUnitFile", "tell_junit"]
+
+
+class JUnitFile:
+    """A plugin that has a run which the kit refuses in the JUnit file, as an error: a file without tests looks like one of a run in which
+    nothing failed."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+
+    def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
+        """Take the sentence with which the run ends, as pytest's own file takes an internal error."""
+        file = self._config.stash.get(xml_key, None)
+        if file is None or not isinstance(excinfo.value, pytest.exit.Exception):
+            return
+        reporter = file.node_reporter("otmcp")
+        reporter.attrs.update(classname="otmcp", name="run")
+        reporter._add_simple("error", one_line(excinfo.value.msg), "")
+
+
+def tell_junit(config: pytest.Config, recorder: RunRecorder) -> None:
+    """Give a JUnit file the verdict, the levels and the counts."""
+    file = config.stash.get(xml_key, None)
+    if file is None or not recorder.statuses:
+        return
+    from ..record.condensed import condensed
+    from ..record.reader import open_record
+    from ..report.verdict_file import properties
+
+    with open_record(recorder.path, allow_incomplete=True) as stored:
+        run = condensed(stored)
+    for name, value in properties(run).items():
+        file.add_global_property(name, value)
