@@ -44,7 +44,7 @@ _FIRST_STATELESS = "2026-07-28"
 """The first revision of MCP without ``initialize``: revisions are dates, and compare as text."""
 
 _LIMITS = [
-    "Self-certification: the kit was run by whoever shows this certificate. It is not signed here; sign it to say who that was.",
+    "Self-certification: the vendor, or whom he asked, has run the kit. Only a signature says who that was.",
     "Tamper-evident, not tamper-proof: otmcp verify makes this document again from run.json and judges the stored history again.",
     "It is about the subject with this digest, started as its subject file says, at simulated devices, in the environment "
     "that run.json describes; another version of the adapter needs another run.",

@@ -87,8 +87,8 @@ def show(text: str, stream: TextIO | None = None) -> None:
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """Declare the option of a command whose result a program can read."""
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    """Declare the option of a command whose result, or refusal, a program can read."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON, also why there is none")
 
 
 def seconds(text: str) -> float:
@@ -136,7 +136,7 @@ def _run(argv: Sequence[str] | None) -> int:
         if arguments.run is None:
             parser.print_help(sys.stderr)
             return ExitCode.USAGE
-        return int(arguments.run(arguments))
+        return _done(arguments)
     except SystemExit as end:
         # argparse has said what is wrong, or has printed the help.
         return end.code if isinstance(end.code, int) else ExitCode.CONFORMANT
@@ -162,6 +162,16 @@ def _run(argv: Sequence[str] | None) -> int:
         return _say(f"{where}{error.strerror or error}", ExitCode.USAGE)
     except Exception as error:
         return _say(f"a fault of the kit at {place_of(error)}: {error!r}; please file a bug", ExitCode.INDETERMINATE)
+
+
+def _done(arguments: argparse.Namespace) -> int:
+    """Run the command; a program that asked for JSON gets a refusal as JSON, too."""
+    try:
+        return int(arguments.run(arguments))
+    except (Refusal, UsageError) as refusal:
+        if getattr(arguments, "json", False):
+            show_json({"refused": str(refusal)})
+        raise
 
 
 class _Parser(argparse.ArgumentParser):

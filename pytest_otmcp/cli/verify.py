@@ -67,21 +67,12 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Examine the files and print the result; with ``--json`` a refusal as well.
+    """Examine the files and print the result.
 
     Raises:
         UsageError: one of the files is not there, or an option does not go with them.
         Refusal: the certificate, its signature or the record does not hold.
     """
-    try:
-        return _verified(args)
-    except Refusal as refusal:
-        if args.json:
-            show_json({"refused": str(refusal)})
-        raise
-
-
-def _verified(args: argparse.Namespace) -> int:
     from .confined import Bounds, confined
     from .files import LARGEST_CERTIFICATE, LARGEST_RECORD, content, size
     from .signature import signer
@@ -94,6 +85,8 @@ def _verified(args: argparse.Namespace) -> int:
     bounds = Bounds.of(size(args.record, LARGEST_RECORD), args.patience)
     signed_by = None
     if args.trust is not None and certificate is not None:
+        if not _beside(args.certificate).is_file():
+            raise Refusal(f"refused: {args.certificate} is not signed: there is no {_beside(args.certificate)}")
         signed_by = signer(
             certificate, content(_beside(args.certificate), LARGEST_CERTIFICATE), args.trust, args.revoked
         )
@@ -104,7 +97,11 @@ def _verified(args: argparse.Namespace) -> int:
         found["said"].append(_about_signature(args.certificate, signed_by, args.trust))
     if args.json:
         by, as_of = (None, None) if signed_by is None else (signed_by.name, signed_by.as_of)
-        told = {"signed_by": by, "key_valid_as_of": None if as_of is None else as_of.isoformat()}
+        told = {
+            "challenge": args.challenge,
+            "signed_by": by,
+            "key_valid_as_of": None if as_of is None else as_of.isoformat(),
+        }
         show_json({**found["run"], **told, "said": found["said"]})
     else:
         for sentence in found["said"]:

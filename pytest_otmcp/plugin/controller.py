@@ -186,14 +186,21 @@ class RunRecorder:
         self._writer.finish(self._header(datetime.now(UTC)), footer)
 
     def _describe_missing(self) -> str:
-        """Say which items have no result; those of suites that were not asked for are counted."""
+        """Say which items about the subject's protocols have no result; those of suites that were not asked for are counted."""
         from ..suite.catalogue import all_tasks
 
         known, chosen = all_tasks(), self.settings.suites
+
+        def spoken(name: str) -> bool:
+            return name not in known or self._subject.adapters.keys() >= {*known[name].protocols}
+
         others = [name for name in self.missing if name in known and known[name].suite not in chosen]
         parts = [f"{counted(len(others), 'item')} of other suites did not run"] if others else []
-        if wanted := [name for name in self.missing if name not in others]:
-            parts.append(f"{len(wanted)} of {counted(len(self.required), 'item')} did not run: {join_ids(wanted)}")
+        if wanted := [name for name in self.missing if name not in others and spoken(name)]:
+            of = counted(len([*filter(spoken, self.required)]), "item")
+            parts.append(f"{len(wanted)} of {of} did not run: {join_ids(wanted)}")
+        if not parts:
+            parts.append(f"{counted(len(self.missing), 'item')} about protocols without an adapter did not run")
         return "; ".join(parts)
 
     def close(self) -> None:

@@ -72,20 +72,47 @@ LAUNCHES: Mapping[str, str] = {
 }
 """Facets that are launches of their own, to the variant of the adapter that has the facet."""
 
-FACETS: Mapping[str, str] = {
-    GUARD: "the adapter can be launched so that it refuses every write",
-    CONTROL_GUARD: "the adapter can be launched so that it writes, and refuses what controls the device itself",
-    BOUNDS: "the adapter can be launched with a list of targets that may be written, or with limits of their values",
-    TIMES: "the adapter can be launched with other time limits and numbers of repetitions than its usual ones",
-    SECURE: "the adapter can be launched for the secure form of the protocol",
-    GOVERNANCE: "the adapter can be launched with a policy of what may be written, and what it has of an audit log and approvals",
-    TOKENS: "the adapter can be launched as an HTTP server that takes the tokens of an issuer",
-    CLIENT_CERTIFICATE: "the launch 'secure' is given a certificate of the adapter's own, {cert}",
-    ACCOUNT: "the launch 'secure' is given {user} and {password}, an account of the device",
-    COMMANDS: "the adapter has tools with a vocabulary of their own, whose effect on the device the subject file states",
-    RECOVERY: "after an outage of the device the same session works again",
+FACETS: Mapping[str, tuple[str, str]] = {
+    GUARD: ("a switch that disables writes", "the adapter can be launched so that it refuses every write"),
+    CONTROL_GUARD: (
+        "a switch that disables control of the device",
+        "the adapter can be launched so that it writes, and refuses what controls the device itself",
+    ),
+    BOUNDS: (
+        "lists and limits of what may be written",
+        "the adapter can be launched with a list of targets that may be written, or with limits of their values",
+    ),
+    TIMES: (
+        "settings of time limits",
+        "the adapter can be launched with other time limits and numbers of repetitions than its usual ones",
+    ),
+    SECURE: (
+        "the secure form of the protocol",
+        "the adapter can be launched for the secure form of the protocol",
+    ),
+    GOVERNANCE: (
+        "policy, audit log and approval",
+        "the adapter can be launched with a policy of what may be written, and what it has of an audit log and approvals",
+    ),
+    TOKENS: (
+        "callers over HTTP with tokens",
+        "the adapter can be launched as an HTTP server that takes the tokens of an issuer",
+    ),
+    CLIENT_CERTIFICATE: (
+        "a certificate of the adapter's own",
+        "the launch 'secure' is given a certificate of the adapter's own, {cert}",
+    ),
+    ACCOUNT: (
+        "an account of the device",
+        "the launch 'secure' is given {user} and {password}, an account of the device",
+    ),
+    COMMANDS: (
+        "named commands",
+        "the adapter has tools with a vocabulary of their own, whose effect on the device the subject file states",
+    ),
+    RECOVERY: ("outages", "after an outage of the device the same session works again"),
 }
-"""Facets that are no operations, to what each says of an adapter."""
+"""Facets that are no operations: each in a few words, and what it says of an adapter."""
 
 ANY_READ = "any_read"
 """Facet that tasks need: one of the operations that the device itself has to answer, whichever the subject has."""

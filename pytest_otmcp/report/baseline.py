@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..record.condensed import condensed
 from ..record.reader import open_record
-from . import Run
+from . import Run, applies
 from .causes import causes
 
 __all__ = ["Baseline", "changes", "read_baseline", "since"]
@@ -23,11 +23,13 @@ class Baseline:
 
     Attributes:
         broken: rule and protocol to the items that the cause touched.
+        ran: ids of the items that applied.
         subject: name of the adapter.
         suite: digest of the suite that judged it.
     """
 
     broken: Mapping[tuple[str, str], tuple[str, ...]]
+    ran: frozenset[str]
     subject: str
     suite: str
 
@@ -42,22 +44,26 @@ def read_baseline(path: Path) -> Baseline:
         run = condensed(stored)
     return Baseline(
         broken={(one.rule, one.family): one.items for one in causes(run)},
+        ran=frozenset(item["id"] for item in run["items"] if applies(item)),
         subject=run["subject"]["name"],
         suite=run["kit"]["suite_digest"],
     )
 
 
 def changes(baseline: Baseline, run: Run) -> dict[str, list[tuple[str, str]]]:
-    """Return the rules, each with its protocol, that are newly broken, mended, and neither of both.
+    """Return the rules, each with its protocol, that are newly broken, broken in items that the baseline did not ask, mended, and neither.
 
     A rule counts as mended only where every item that showed the fault was run again and passed: one that failed for another reason may
     have ended before it asked.
     """
-    broken = [(one.rule, one.family) for one in causes(run)]
+    broken = {(one.rule, one.family): one.items for one in causes(run)}
+    unknown = [name for name in broken if name not in baseline.broken]
+    unasked = [name for name in unknown if baseline.ran.isdisjoint(broken[name])]
     passed = {item["id"] for item in run["items"] if item["status"] == "PASS"}
     mended = [name for name, items in baseline.broken.items() if name not in broken and passed.issuperset(items)]
     return {
-        "new": [name for name in broken if name not in baseline.broken],
+        "new": [name for name in unknown if name not in unasked],
+        "not asked before": unasked,
         "mended": mended,
         "not shown again": [name for name in baseline.broken if name not in broken and name not in mended],
     }

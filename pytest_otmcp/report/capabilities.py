@@ -224,9 +224,8 @@ def _also_away(heading: Heading, found: Earned, outages: Sequence[str], items: M
     if any(status in (Status.PASS, Status.FAIL) for status in statuses.values()):
         return found
     open_ = tuple(name for name, status in statuses.items() if status != Status.NOT_APPLICABLE)
-    return replace(
-        found, grade=Grade.UNDECIDED if open_ else Grade.NOT_ASKED, because=open_, without=(*found.without, *outages)
-    )
+    without = (*found.without, *(name for name in outages if name not in open_))
+    return replace(found, grade=Grade.UNDECIDED if open_ else Grade.NOT_ASKED, because=open_, without=without)
 
 
 def _grade(wanted: Sequence[str], items: Mapping[str, Item], losing: Sequence[str], claimed: bool) -> Earned:

@@ -5,14 +5,15 @@ Programs judge ``certificate.json``; this page repeats it on a sheet of paper, a
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..core.text import counted
+from ..protocols.protocol import FACETS
 from ..protocols.registry import protocols
 from ..suite.requirements import Level
 from .page import filled
+from .permission import permitted
 from .text import calls_made
 
 __all__ = ["certificate_page"]
@@ -50,6 +51,8 @@ def certificate_page(certificate: Mapping[str, Any], sha256: str, *, signed: boo
         limits=told["limits"],
         wheel=f"{kit[0]['name'].replace('-', '_').replace(' ', '-')}-py3-none-any.whl",
         signed=signed,
+        measured=told["measured_at"],
+        challenge=told["settings"].get("challenge"),
     )
 
 
@@ -69,7 +72,7 @@ def _levels(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 def _passed(protocol: str, told: Mapping[str, Any]) -> str:
     facts, name = told["adapters"][protocol], protocols()[protocol].name
     count = told["items"][name]
-    below = " (what was not tested stands below)" if count["passed"] < count["of"] else ""
+    below = ", all that apply (what was not tested stands below)" if count["passed"] < count["of"] else ""
     server = " ".join(filter(None, (facts["server"]["name"], facts["server"]["version"])))
     called = f"; it calls itself {server}" if server else ""
     return f"It passed {count['passed']} of {count['of']} {name} items{below}, every call within {facts['deadline_s']:g} s{called}."
@@ -87,11 +90,29 @@ def _not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         yield from ((name, output, "not found in its answers") for output in facts["outputs_not_judged"])
     reasons: dict[str, list[str]] = {}
     for item, why in told["not_applicable"].items():
-        facet = re.match(r"\w+", why)
+        reasons.setdefault(why, []).append(item)
+    for why, items in reasons.items():
+        facet, _, reason = why.partition(": ")
+        protocol, _, name = facet.partition(".")
+        if protocol not in protocols() or not reason:
+            yield "", ", ".join(items), why
         # What the subject does not speak is not about it.
-        if facet is None or facet[0] in told["adapters"] or facet[0] not in protocols():
-            reasons.setdefault(why, []).append(item)
-    yield from (("", ", ".join(items), why) for why, items in reasons.items())
+        elif protocol in told["adapters"]:
+            yield (
+                protocols()[protocol].name,
+                ", ".join(one.removesuffix(f".{protocol}") for one in items),
+                f"{_in_words(protocol, name)}: {reason}",
+            )
+
+
+def _in_words(protocol: str, facet: str) -> str:
+    """Return what a facet is, for somebody who has never seen a subject file."""
+    if facet in FACETS:
+        return FACETS[facet][0]
+    operation, _, part = facet.partition(".")
+    known = protocols()[protocol].operations.get(operation)
+    meaning = facet if known is None else known.meaning.rstrip(".")
+    return f"{part!r} of {operation}" if part else f"{meaning[:1].lower()}{meaning[1:]}"
 
 
 def _programs(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -124,12 +145,9 @@ def _unknown_files(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _meaning(level: str | None) -> str:
-    """Return what a level allows, which is what it and every level below it says."""
-    if level is None:
-        return "has earned no level, which would say what a plant may ask of it"
-    earned = Level(level)
-    *before, last = [each.meaning for each in Level if each.rank <= earned.rank]
-    return f"{', '.join(before)}{', and ' if before else ''}{last}"
+    return (
+        "has earned no level, which would say what a plant may ask of it" if level is None else permitted(Level(level))
+    )
 
 
 def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -137,17 +155,14 @@ def _facts(told: Mapping[str, Any]) -> list[tuple[str, str]]:
     walls = [*told["isolation"]["seen"], *told["isolation"]["missing"]]
     return [
         (
-            "Measured",
-            f"{told['measured_at']} ({told['environment']['platform']}, Python {told['environment']['python']})",
+            "Machine",
+            f"{told['environment']['platform']}, Python {told['environment']['python']}",
         ),
         (
             "Repetitions",
             f"{total['passed']} of {total['planned']} passed, {calls_made(counts['tool_calls'])}; N = {settings['reps']}",
         ),
         *([("Walls", " ".join(walls))] if walls else []),
-        *([("Challenge", settings["challenge"])] if "challenge" in settings else []),
         *_unknown_files(told),
-        ("Catalogue of requirements", told["catalogue"]),
-        ("Seed", str(settings["seed"])),
-        ("Run", told["run_id"]),
+        ("Run", f"{told['run_id']}, seed {settings['seed']}, catalogue of requirements {told['catalogue']}"),
     ]

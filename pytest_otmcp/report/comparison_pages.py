@@ -46,7 +46,7 @@ def markdown(comparison: Comparison) -> str:
     ]
     changed = [row for row in comparison.items if row.changed]
     for title, rows in (
-        ("What may be connected, and what for", comparison.capabilities),
+        ("What was shown", comparison.capabilities),
         ("Rules that are broken", comparison.rules),
         ("Items on which the runs differ", changed),
     ):

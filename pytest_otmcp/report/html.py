@@ -31,6 +31,7 @@ from .findings import subject_keys
 from .identity import identity
 from .limits import narrowed, partial
 from .page import filled
+from .permission import permission
 from .strangers import strangers
 
 __all__ = ["page", "write_html"]
@@ -107,6 +108,7 @@ def page(run: Run, certificate: str | None = None) -> str:
         tone=_TONES.get(verdict, "open"),
         sentence=_nothing_asked(run) or " ".join(filter(None, (_failed(verdict, found), _SENTENCES.get(verdict)))),
         partial=partial(run),
+        permission=permission(run, certified=certificate is not None),
         counts=counts,
         counted=tell(counts),
         level=in_words(standings(catalogue(), run["items"], run["subject"]["adapters"])),

@@ -10,6 +10,7 @@ from ..core.walls import missing as missing_walls
 from ..protocols.external import used
 from ..protocols.registry import protocols
 from ..record.tool_calls import never_called
+from ..suite.spoken import of_spoken
 from . import Run, timing_valid
 from .applying import not_applying
 from .capabilities import Grade, earned
@@ -77,6 +78,7 @@ def partial(run: Run) -> bool:
     """Tell whether a run passed and says less than it could: no level, a wall was missing, something narrowed it, or a capability is not shown."""
     if run["footer"].get("verdict") != Verdict.CONFORMANT:
         return False
+    run = of_spoken(run)
     grades = [one.grade for _, by_family in earned(run) for one in by_family.values()]
     reasons = len(narrowed(run)) > bool(not_applying(run))
     no_level = REQUIREMENTS not in run["settings"].get("suites", BENCHMARK)

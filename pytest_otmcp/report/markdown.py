@@ -23,6 +23,7 @@ from .families import spoken_families
 from .findings import subject_keys
 from .limits import narrowed, partial
 from .overview import deviations, tasks
+from .permission import permission
 from .strangers import strangers
 from .text import printable
 
@@ -30,6 +31,7 @@ __all__ = ["code", "escape", "summary", "write_markdown"]
 
 _ITEMS = 40
 _LETTERS = 400
+_MARKS = {"CONFORMANT": "✅", "NOT CONFORMANT": "❌"}
 _SIGNS = {
     "PASS": "✅",
     "NOT_APPLICABLE": "⚪",
@@ -74,13 +76,14 @@ def summary(run: Run) -> str:
     level = in_words(standings(catalogue(), items, run["subject"]["adapters"]))
     name = f"{run['subject'].get('name')} {run['subject'].get('version')}"
     lines = [
-        f"## {'✅' if verdict == 'CONFORMANT' else '❌'} {escape(verdict)}: {code(name)}",
+        f"## {_MARKS.get(verdict, '⚪')} {escape(verdict)}: {code(name)}",
         "",
         f"**{tell(spoken(run))}{', ' if level else ''}{level}**; **{good}** of **{planned}** repetitions passed.",
         "",
         *(f"- warning: {code(said(one))}" for one in warnings(items)),
         *(f"- level: {escape(told)}" for told in _levels(run)),
         *(f"- deadlines of a call: {escape(told)}" for told in [deadlines(run)] if told),
+        f"- {escape(permission(run))}",
         *(["- A partial pass: see what was earned, and the lines below."] if partial(run) else []),
         *(f"- {escape(reason)}" for reason in narrowed(run)),
         *(f"- Note: {escape(sentence)}." for sentence in strangers(run)),
@@ -120,7 +123,7 @@ def _earned(run: Run) -> list[str]:
         grades = [by_family[family] for family in columns]
         cells = [f"{_SIGNS.get(one.grade, '❌')} {one.grade}" for one in grades]
         rows.append([heading.name, *cells])
-    return _table(["What may be connected, and what for", *map(escape, columns)], rows)
+    return _table(["What it was shown to do", *map(escape, columns)], rows)
 
 
 def _causes(run: Run) -> Iterator[str]:

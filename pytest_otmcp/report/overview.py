@@ -66,11 +66,12 @@ class Cell:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deviation:
-    """A failure that the vendor knows of, and its state in this run."""
+    """A failure that the vendor knows of, and its state in this run: ``kind`` is ``used``, ``stale``, ``expired`` or ``not run``."""
 
     item: str
     reason: str
     expires: str
+    kind: str
     state: str
 
 
@@ -187,21 +188,23 @@ def statistics(run: Run) -> list[tuple[str, ...]]:
 
 _STATES = {
     "used": "it fails, and is excused from the exit code",
-    "stale": "nothing is left to excuse: remove it",
-    "expired": "its day is over",
+    "stale": "its item passes, and the exit code is 1 until this entry is removed",
+    "expired": "its day is over, and the exit code is 1 until it is mended or the day is moved",
+    "not run": "its item did not run to its end",
 }
 
 
 def deviations(run: Run) -> list[Deviation]:
     """Return the known deviations."""
     found = run["footer"].get("deviations", {})
-    states = {item: _STATES[kind] for kind in _STATES for item in found.get(kind, ())}
+    kinds = {item: kind for kind in _STATES for item in found.get(kind, ())}
     return [
         Deviation(
             item=entry["item"],
             reason=entry["reason"],
             expires=entry["expires"],
-            state=states.get(entry["item"], "its item did not run to its end"),
+            kind=(kind := kinds.get(entry["item"], "not run")),
+            state=_STATES[kind],
         )
         for entry in run["subject"].get("deviations", ())
     ]

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from ..core.walls import missing
 from ..record.tool_calls import never_called
 from ..record.warnings import warnings
 from ..suite.levels import standings
@@ -29,7 +30,7 @@ SCHEMA = "otmcp-verdict/1"
 def verdict(run: Run, baseline: Baseline | None = None) -> dict[str, Any]:
     """Return what a program reads.
 
-    ``partial`` tells whether a pass says less than it could. ``items`` counts those about each protocol that the subject speaks. ``levels`` has the level of each protocol, None for none; it is empty without the requirement suite. ``causes`` are the rules that are
+    ``partial`` tells whether a pass says less than it could; ``suites``, ``reps`` (N) and ``walls_missing`` may say why. ``items`` counts those about each protocol that the subject speaks. ``levels`` has the level of each protocol, None for none; it is empty without the requirement suite. ``causes`` are the rules that are
     broken, in the order of the suite, each with the code of its first finding (``cannot_start``, ``wrong_value``, …) and the items that it
     touches. ``narrowed`` says what took something away from the suite, ``never_called`` which tools each adapter lists that the run never called. ``since`` says what has changed since the baseline, None without one.
     """
@@ -37,6 +38,11 @@ def verdict(run: Run, baseline: Baseline | None = None) -> dict[str, Any]:
         "schema": SCHEMA,
         "verdict": run["footer"].get("verdict", "INCOMPLETE"),
         "partial": partial(run),
+        "started_at": run["environment"].get("started_at"),
+        "suites": list(run["settings"].get("suites", ())),
+        "reps": run["settings"].get("reps"),
+        "challenge": run["settings"].get("challenge"),
+        "walls_missing": missing(run["environment"].get("walls", {})),
         "complete": run["footer"]["complete"],
         "reason": run["footer"].get("reason"),
         "subject": {key: run["subject"][key] for key in ("name", "version", "digest")},

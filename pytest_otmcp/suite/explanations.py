@@ -270,7 +270,7 @@ def _explained_facet(identifier: str) -> Explained:
     operation = protocols()[key].operations.get(first) if key else None
     table = f"[adapter.{key or 'KEY'}"
     if operation is None:
-        about, claimed = FACETS[name], f"{table}.{LAUNCHES[name]}]" if name in LAUNCHES else ""
+        about, claimed = FACETS[name][1], f"{table}.{LAUNCHES[name]}]" if name in LAUNCHES else ""
         claimed = f"{table}.{COMMANDS}.NAME]" if name == COMMANDS else claimed
     else:
         about = f"{part!r} of the operation {first}: {operation.meaning}" if part else operation.meaning

@@ -25,7 +25,7 @@ class Spoken:
     Attributes:
         of: those that there are in the suites of the run.
         passed: those that passed.
-        failed: those that apply and did not pass.
+        failed: those that apply, ended and did not pass.
         unclaimed: those that do not apply.
     """
 
@@ -45,7 +45,7 @@ def spoken(run: Run) -> dict[str, Spoken]:
             count.of += 1
             count.passed += item["status"] == Status.PASS
             count.unclaimed += item["status"] == Status.NOT_APPLICABLE
-            count.failed += item["status"] not in (Status.PASS, Status.NOT_APPLICABLE)
+            count.failed += item["status"] not in (Status.PASS, Status.NOT_APPLICABLE, Status.INTERRUPTED)
     for name, task in tasks_by_id(
         adapters, run["settings"].get("suites", BENCHMARK), run["settings"].get("devices", ())
     ).items():

@@ -13,6 +13,7 @@ from .samples import run, written_twice
 from .test_latex import ALL
 
 BROKEN = ("WR-003", "Modbus")
+EVERY = frozenset({"M1", "M3", "WR-003.modbus"})
 
 
 @pytest.mark.parametrize(
@@ -31,13 +32,19 @@ def test_a_rule_is_new_mended_or_not_shown_again(
     before: dict[tuple[str, str], tuple[str, ...]], now: list[Any], said: str
 ) -> None:
     ran = run(now)
-    earlier = Baseline(before, ran["subject"]["name"], ran["kit"]["suite_digest"])
+    earlier = Baseline(before, EVERY, ran["subject"]["name"], ran["kit"]["suite_digest"])
     assert since(earlier, ran) == f"since the baseline {said}"
+
+
+def test_a_rule_is_not_new_that_the_baseline_did_not_ask_for() -> None:
+    ran = run([written_twice()])
+    earlier = Baseline({}, frozenset({"M1"}), ran["subject"]["name"], ran["kit"]["suite_digest"])
+    assert since(earlier, ran) == "since the baseline 1 not asked before (WR-003 Modbus)"
 
 
 def test_a_baseline_of_another_adapter_or_suite_is_named() -> None:
     ran = run([written_twice()])
-    assert since(Baseline({}, "Acme", "sha256:0"), ran).startswith(
+    assert since(Baseline({}, EVERY, "Acme", "sha256:0"), ran).startswith(
         "since the baseline (of Acme, by another version of the suite) 1 new"
     )
 
@@ -45,11 +52,12 @@ def test_a_baseline_of_another_adapter_or_suite_is_named() -> None:
 def test_a_program_reads_what_has_changed() -> None:
     ran = run([written_twice()])
     assert verdict(ran)["since"] is None
-    earlier = Baseline({("RD-001", "Modbus"): ("M1",)}, ran["subject"]["name"], "sha256:0")
+    earlier = Baseline({("RD-001", "Modbus"): ("M1",)}, EVERY, ran["subject"]["name"], "sha256:0")
     assert verdict(ran, earlier)["since"] == {
         "subject": ran["subject"]["name"],
         "suite_digest": "sha256:0",
         "new": [{"rule": "WR-003", "protocol": "Modbus"}],
+        "not_asked_before": [],
         "mended": [],
         "not_shown_again": [{"rule": "RD-001", "protocol": "Modbus"}],
     }

@@ -40,7 +40,7 @@ def test_a_level_is_said_with_what_it_allows(statement: dict[str, Any]) -> None:
     told = statement["predicate"]["otmcp"]
     count = told["items"]["Modbus"]
     allowed = "may be connected to a plant for reading, and may write there while a person watches"
-    of_modbus = f"This adapter {allowed}. It passed {count['passed']} of {count['of']} Modbus items"
+    of_modbus = f"This adapter {allowed}. It passed {count['passed']} of {count['of']} Modbus items, all that apply"
     assert f"Modbus, OPC UA: Silver {of_modbus}" in shown(statement)
     told["level"]["awarded"]["modbus"] = None
     words = shown(statement)
@@ -53,7 +53,7 @@ def test_what_is_not_claimed_is_there_with_the_reason_of_the_vendor_and_none_of_
 ) -> None:
     facets = statement["predicate"]["otmcp"]["adapters"]["modbus"]["facets"]
     facets["not_claimed"] = {"ping": "<img src=x onerror=alert(1)>"}
-    assert "Modbus, ping : the vendor does not claim it: <img src=x onerror=alert(1)>" in shown(statement)
+    assert "Modbus: the vendor does not claim it: <img src=x onerror=alert(1)> ( ping )" in shown(statement)
     assert "<img" not in certificate_page(statement, DIGEST, signed=False)
 
 
@@ -86,9 +86,13 @@ def test_the_program_that_was_started_is_named_with_its_digest(statement: dict[s
 
 
 def test_a_run_for_a_challenge_names_it(statement: dict[str, Any]) -> None:
-    assert "Challenge" not in shown(statement)
+    assert "challenge" not in shown(statement)
     statement["predicate"]["otmcp"]["settings"]["challenge"] = "buyer-2026-11-26-7f3a9c"
-    assert "Challenge buyer-2026-11-26-7f3a9c" in shown(statement)
+    words = shown(statement)
+    assert (
+        f"on {statement['predicate']['otmcp']['measured_at']}, for the challenge buyer-2026-11-26-7f3a9c , by" in words
+    )
+    assert "otmcp verify --challenge buyer-2026-11-26-7f3a9c certificate.json run.json" in words
 
 
 @pytest.mark.parametrize(
@@ -100,7 +104,9 @@ def test_a_run_for_a_challenge_names_it(statement: dict[str, Any]) -> None:
 )
 def test_it_says_how_to_check_it(statement: dict[str, Any], signed: bool, command: str) -> None:
     assert command in shown(statement, signed=signed)
-    assert ("It is not signed." in shown(statement, signed=signed)) is not signed
+    words = shown(statement, signed=signed)
+    assert ("t is not signed" in words) is not signed
+    assert ("the signature says who that was" in words) is signed
 
 
 def test_what_the_items_used_and_what_they_did_not_read_is_named(statement: dict[str, Any]) -> None:
@@ -108,7 +114,7 @@ def test_what_the_items_used_and_what_they_did_not_read_is_named(statement: dict
     facts["facets"]["earned"], facts["outputs_not_judged"] = {"ping": ["M1"], "write_coil": ["WR-001.modbus"]}, []
     assert "Modbus: ping , write_coil ." in shown(statement)
     facts["outputs_not_judged"] = ["write_coil.value"]
-    assert "Modbus, write_coil.value : not found in its answers" in shown(statement)
+    assert "Modbus: not found in its answers ( write_coil.value )" in shown(statement)
 
 
 def test_what_was_not_tested_stands_above_the_digests(statement: dict[str, Any]) -> None:
@@ -123,11 +129,11 @@ def test_what_was_not_tested_stands_above_the_digests(statement: dict[str, Any])
     words = shown(statement)
     assert "MQTT" not in words
     for told_of in (
-        "Modbus, publish.qos : claimed, and no item needed it",
-        "WR-014.modbus, ADR-003.modbus : modbus.commands: the subject file has no named commands",
+        "Modbus: claimed, and no item needed it ( publish.qos )",
+        "Modbus: named commands: the subject file has no named commands ( WR-014, ADR-003 )",
     ):
         assert words.index("What was not tested") < words.index(told_of) < words.index("What was tested")
-    assert "Whoever shows this certificate ran the kit, at simulated devices. It is not signed;" in words
+    assert "by the vendor or whom he asked: it is not signed." in words
 
 
 def test_tools_that_were_never_called_are_named() -> None:
@@ -135,4 +141,6 @@ def test_tools_that_were_never_called_are_named() -> None:
     record["subject"]["adapters"]["modbus"]["calls"] = {"flip": 0, "read": 7, "reset": 0}
     statement = certificate(record, "ab" * 32, tasks_by_id(suites=SUITES))
     assert statement["predicate"]["otmcp"]["adapters"]["modbus"]["tools_never_called"] == ["flip", "reset"]
-    assert "Modbus, flip : a tool that was never called Modbus, reset : a tool" in shown(statement)
+    assert "Modbus: a tool that was never called ( flip ) Modbus: a tool that was never called ( reset )" in shown(
+        statement
+    )

@@ -213,8 +213,13 @@ def of_certificate(run: Run) -> None:
     message = badge(statement)["message"]
     shown = words(certificate_page(statement, "cd" * 32, signed=False))
     assert message.startswith(f"{told['verdict'].lower()}: ")
-    assert f"({passed} of {of} items, catalogue {told['catalogue']})" in message
-    assert f"Catalogue of requirements {told['catalogue']}" in shown
+    unclaimed = sum(one["unclaimed"] for one in told["items"].values())
+    assert passed + unclaimed == of
+    assert (
+        f"({passed} of {of} items{f', {unclaimed} not claimed' if unclaimed else ''}, catalogue {told['catalogue']})"
+        in message
+    )
+    assert f"catalogue of requirements {told['catalogue']}" in shown
     for key, level in told["levels"].items():
         name = protocols()[key].name
         assert f"{name} {level.capitalize()}" in message

@@ -173,7 +173,7 @@ def test_what_is_no_signature_is_refused(certificate: Path, trust: Path, capsys:
 
 def test_files_that_are_missing_are_named(certificate: Path, key: Path, trust: Path, capsys: Told) -> None:
     assert refused(capsys, certificate, certificate, "--trust", trust) == (
-        f"2: otmcp: {certificate}.sig: there is no such file\n"
+        f"1: otmcp: refused: {certificate} is not signed: there is no {certificate}.sig\n"
     )
     sign(certificate, key)
     assert refused(capsys, certificate, certificate, "--trust", "nowhere") == (
