@@ -29,7 +29,7 @@ def add_parser(subparsers: Any) -> None:
         "explain",
         help="say what an item, a requirement, a level or a code means",
         description="Say in plain words what an item (M3), a requirement (WR-003), a level (Bronze), a profile (mb-r), a facet "
-        "(modbus.guard), an error code (illegal_address) or the code of a finding (wrong_value) means: what is asked, what must be said "
+        "(guard), an error code (illegal_address) or the code of a finding (wrong_value) means: what is asked, what must be said "
         "and seen, why, and by which source.",
     )
     asked = parser.add_argument(

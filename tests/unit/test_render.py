@@ -170,7 +170,7 @@ def test_writing_is_not_earned_without_an_outage() -> None:
         return grades(modbus("M3"), *away)["Writing"]["Modbus"]
 
     missing = ("S10", "R-modbus")
-    assert writing() == Earned(grade=Grade.UNDECIDED, because=missing, without=missing)
+    assert writing() == Earned(grade=Grade.UNDECIDED, because=missing)
     without = [modbus(name, "NOT_APPLICABLE") for name in missing]
     assert writing(*without) == Earned(grade=Grade.NOT_ASKED, without=missing)
     assert writing(without[0], modbus("R-modbus", suite="recovery")) == Earned(grade=Grade.EARNED, because=("M3",))
