@@ -7,6 +7,7 @@ from typing import Any
 
 from pytest_otmcp.core.error_registry import WireCode, registry, wire_codes
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.core.strict_json import same_json
 from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt.oracle import refusals
@@ -33,8 +34,10 @@ from .steps import (
     a_read_works,
     a_write_works,
     answers_again,
+    exact_or_refused,
     exercise,
     faulty,
+    knows_node,
     nothing_arrived,
     read,
     since,
@@ -414,10 +417,12 @@ _NODES = ("ns=2;s=Temperature", "ns=2;s=Pressure")
     "ERR-008", "Of several items each has its own status.", needs="opcua.read_many", keys="opcua.probes.missing_node"
 )
 async def items_fail_alone(run: Repetition, opcua: Rig) -> None:
-    """Read two variables; one of them twice; both with a node between them that does not exist; two nodes of which neither exists.
+    """Read two variables; one of them twice; both with a node between them that does not exist; two nodes of which neither exists; sixty
+    variables; then the two while one of them has a bad status.
 
     Said: the values in the order asked for; then a failure with `partial_failure` and the two values below `data.partial`, or with
-        the code of the missing node where nothing was read; then a failure. Nowhere is the text of an error in the place of a value.
+        the code of the missing node where nothing was read; then a failure; all sixty values, or that these are too many; then a failure, or
+        null in the place of the bad value. Nowhere is the text of an error, or an earlier value, in the place of a value.
     Seen: the reads.
     Why: "Error: …" in a list of temperatures is a temperature to whoever goes through the list.
     """
@@ -439,6 +444,39 @@ async def items_fail_alone(run: Repetition, opcua: Rig) -> None:
             run.judge(mixed, [Finding(code="wrong_value", message=message, requirement="ERR-008")])
     neither = await opcua.call("read_many", nodes=[missing, missing])
     expect_failure(run, neither, requirement="ERR-008")
+    await _many_at_once(run, opcua)
+    await _a_bad_one_among_them(run, opcua, values)
+
+
+_BATCH = 60
+"""Variables of a call, more than a client puts into one request that keeps to the usual limits of servers."""
+
+
+async def _many_at_once(run: Repetition, opcua: Rig) -> None:
+    numbers = run.rng.sample(range(10**6), _BATCH)
+    names = [f"Batch.{number}" for number in numbers]
+    made = [
+        {"variable": name, "type": "Double", "value": number / 8} for name, number in zip(names, numbers, strict=True)
+    ]
+    await opcua.device.poke(create=made)
+    nodes = [f"ns=2;s={name}" for name in names]
+    if not await knows_node(run, opcua, nodes[0]):
+        return
+    reply = await opcua.call("read_many", nodes=nodes)
+    too_many = ("limit_exceeded", "invalid_input", "rate_limited")
+    exact_or_refused(run, reply, *too_many, requirement="ERR-008", values=[number / 8 for number in numbers])
+
+
+async def _a_bad_one_among_them(run: Repetition, opcua: Rig, before: Sequence[float]) -> None:
+    """Read two variables of which the first has a bad status, and was read before."""
+    bad, good = before[0] + 1, before[1]
+    await opcua.device.poke(node="Temperature", value=bad, status="BadSensorFailure")
+    reply = await opcua.call("read_many", nodes=list(_NODES))
+    told = reply.outputs.get("values")
+    if not (reply.success and same_json(told, [None, good])):
+        run.fails(reply, "partial_failure", "bad_quality", "device_failure", requirement="ERR-008")
+    await opcua.device.poke(node="Temperature", value=bad, status="Good")
+    run.succeeds(await opcua.call("read_many", nodes=list(_NODES)), requirement="ERR-008", values=[bad, good])
 
 
 def _holds(found: object, value: float) -> bool:

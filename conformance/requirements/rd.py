@@ -59,17 +59,21 @@ async def _set(modbus: Rig, operation: str, address: int, values: Sequence[Any],
     "RD-001", "What is read is what the device holds, in every table.", needs="modbus.read_input modbus.read_holding"
 )
 async def every_table_is_read_as_it_is(run: Repetition, modbus: Rig) -> None:
-    """Read cells of each table that the adapter reads; they were set at random just before. Once more with other values.
+    """Read cells of each table that the adapter reads; they were set at random just before. Once more with other values, and once with values
+    that are nearly the same.
 
-    Said: these values, twice.
+    Said: these values, each time.
     Seen: the device holds them.
     Why: a value of a moment ago, or of a neighbour, looks right until somebody acts on it.
     """
     places = {INPUT: (10, 4), HOLDING: (20, 1), COILS: (20, 5), DISCRETE: (20, 5)}
-    for _ in range(2):
+    last: dict[str, list[Any]] = {}
+    for nearly in (False, False, True):
         for operation in _claimed(modbus):
             address, count = places[operation]
-            values = _nonces(run, operation, count)
+            # What has changed by one is another value, also to who tells only what has changed by more.
+            values = [type(value)(value ^ 1) for value in last[operation]] if nearly else _nonces(run, operation, count)
+            last[operation] = values
             await _set(modbus, operation, address, values)
             reply = await modbus.call(operation, address=address, count=count)
             run.succeeds(reply, requirement="RD-001", values=values)
@@ -77,7 +81,8 @@ async def every_table_is_read_as_it_is(run: Repetition, modbus: Rig) -> None:
 
 @TASKS.check("RD-001", "What is read is what the server holds, whatever its type.", needs="opcua.read")
 async def every_type_is_read_as_it_is(run: Repetition, opcua: Rig) -> None:
-    """Read a variable of each type that has a form of its own in JSON; they were set at random just before.
+    """Read a variable of each type that has a form of its own in JSON; they were set at random just before. One of them has nearly the same
+    value as before.
 
     Said: these values.
     Seen: the server holds them.
@@ -122,7 +127,10 @@ def _values(run: Repetition) -> Iterator[tuple[str, object]]:
         yield node, run.rng.randrange(2 ** (bits - 1), 2**bits)
     for node, bits in (("SByte", 8), ("Int16", 16), ("Int32", 32), ("Int64", 50)):
         yield node, -run.rng.randrange(1, 2 ** (bits - 1))
-    yield "Double", run.rng.uniform(-1e9, 1e9)
+    number = run.rng.uniform(1.0, 1e9)
+    yield "Double", number
+    # It is another value, also to who tells only what has changed by more.
+    yield "Double", number * (1 + 1e-6)
     yield "String", f"text-{run.rng.getrandbits(32):08x}"
     yield "LocalizedText", f"text-{run.rng.getrandbits(32):08x}"
 

@@ -37,6 +37,9 @@ __all__ = ["TASKS"]
 
 TASKS = Checks()
 
+_WAITED = ("rate_limited", "device_busy")
+"""What a call is told that had no turn before its time was over."""
+
 _DRIP_S = 1.5
 """Seconds between two bytes of an answer, so that no answer is complete within a usual deadline."""
 
@@ -57,7 +60,8 @@ async def every_call_ends_in_time(run: Repetition, at: Rig) -> None:
     """Read by two calls at the same time; the connection of the first dies without an end, and what is answered afterwards comes
     byte by byte. Read again when that is over.
 
-    Said: failures of the connection within the deadline, one of them `rate_limited` where it waited behind the other; then success.
+    Said: failures of the connection within the deadline, one of them `rate_limited` or `device_busy` where it waited behind the other; then
+        success.
     Seen: the reads.
     Why: an assistant that waits for ever cannot tell anybody that the plant is out of reach.
     """
@@ -73,8 +77,8 @@ async def every_call_ends_in_time(run: Repetition, at: Rig) -> None:
     replies = await run.together(*(at.call(asked.operation, **asked.inputs) for _ in range(2)))
     await at.device.fault()
     # One call may have waited behind the other until its time was over: nothing of it was sent, and it was not the device that failed it.
-    waited = [reply.error_code for reply in replies].count("rate_limited") == 1
-    codes = (*CONNECTION_FAULTS, "protocol_error", *["rate_limited"] * waited)
+    waited = [reply.error_code in _WAITED for reply in replies].count(True) == 1
+    codes = (*CONNECTION_FAULTS, "protocol_error", *(_WAITED if waited else ()))
     for reply in replies:
         # An adapter with a long deadline may have asked again, or waited for all the bytes.
         if reply.success:

@@ -93,7 +93,8 @@ async def _prepare(at: Rig, asked: Asked) -> None:
 
 @TASKS.check("WR-001", "What is reported as written is in the device.", needs="modbus.write_holding")
 async def a_modbus_write_has_its_effect(run: Repetition, modbus: Rig) -> None:
-    """Write by every operation that writes; then write a register while the device refuses it; switch coils on and off.
+    """Write by every operation that writes; then write a register while the device refuses it; switch coils on and off. Write a register with
+    the value that was written last, after the device has changed it.
 
     Said: success; for the write that is refused a failure with `illegal_value`.
     Seen: the device holds what was written, and nothing else has changed; what was refused is not in it.
@@ -109,6 +110,19 @@ async def a_modbus_write_has_its_effect(run: Repetition, modbus: Rig) -> None:
         codes += [] if refused.during(await modbus.journal()) else CONNECTION_FAULTS
     run.fails(refused, *codes, requirement="WR-001", code_requirement="ERR-002")
     await _coils_go_both_ways(run, modbus)
+    value, other = run.rng.sample(range(1, 0x10000), 2)
+    change = {"unit": 1, "table": "holding_registers", "address": 1, "values": [other]}
+    await _again_after_a_change(run, modbus, change, {"1/holding_registers/1": value}, address=1, value=value)
+
+
+async def _again_after_a_change(
+    run: Repetition, at: Rig, change: Mapping[str, Any], expected: Mapping[str, object], **inputs: Any
+) -> None:
+    """Write the same value twice; before each time somebody else has written another one."""
+    for _ in range(2):
+        await at.device.poke(**change)
+        if run.succeeds(await at.call(exercise(at).writing, **inputs), requirement="WR-001"):
+            run.witnessed(witness(at).holds(await at.device.image(), expected))
 
 
 _CELLS = 1000
@@ -138,10 +152,12 @@ async def _coils_go_both_ways(run: Repetition, modbus: Rig) -> None:
 @TASKS.check("WR-001", "What is reported as written is in the server.", needs="opcua.write")
 async def an_opcua_write_has_its_effect(run: Repetition, opcua: Rig) -> None:
     """Write by every operation that writes variables; where the tool writes several at once, write two of which one cannot be written; then
-    write one while the server refuses it.
+    write one while the server refuses it. Write a variable with the value that was written last, after somebody else has changed it. Write to
+    nodes that do not exist, and are called nearly like that variable.
 
-    Said: success; for the two a failure, with `partial_failure` or the reason of the refusal; for the last one with `device_failure`.
-    Seen: the server holds what was written; what was refused is not in it.
+    Said: success; for the two a failure, with `partial_failure` or the reason of the refusal; for what is refused with `device_failure`; for
+        the missing nodes with `illegal_address` or `invalid_input`.
+    Seen: the server holds what was written; what was refused is not in it; nothing changes for the missing nodes.
     Why: an assistant that reads "written" goes on as if the valve had moved.
     """
     await _have_their_effect(run, opcua)
@@ -151,6 +167,14 @@ async def an_opcua_write_has_its_effect(run: Repetition, opcua: Rig) -> None:
     _, refused = await write(run, opcua)
     await opcua.device.fault()
     run.fails(refused, "device_failure", requirement="WR-001", code_requirement="ERR-003")
+    value, other = (round(run.rng.uniform(low, low + 40.0), 3) for low in (1.0, 50.0))
+    change = {"node": "ValvePosition", "value": other}
+    await _again_after_a_change(run, opcua, change, {_VALVE: value}, node=_VALVE, value=value)
+    for nearly in (_VALVE[:-1], _VALVE.lower(), f"{_VALVE}1"):
+        before = await opcua.device.image()
+        reply = await opcua.call("write", node=nearly, value=other)
+        run.fails(reply, *ITS_OWN_REFUSALS, requirement="WR-001", code_requirement="ERR-003")
+        run.witnessed(witness(opcua).only_changed(before, await opcua.device.image(), {}, otherwise="WR-002"))
 
 
 @TASKS.every_protocol(

@@ -250,7 +250,7 @@ async def _examine(adapter: Adapter, variant: str, isolation: Isolation, say: Ca
             return _keeps_secrets(under_test, variant, say)
         if variant == READ_WRITE and (unknown := unbound(adapter, session.tools)):
             say(
-                f"{variant}: nothing is bound to {', '.join(unknown)}; no run calls them, and a pass says nothing about them"
+                f"{variant}: nothing is bound to {', '.join(unknown)}; no run judges what they answer, and a pass says nothing about it"
             )
         problem = await prove_session(under_test)
         say(

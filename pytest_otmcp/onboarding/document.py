@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..core.text import printable
-from ..protocols.protocol import GUARD
+from ..protocols.protocol import GUARD, Operation
 from ..protocols.registry import protocols
 from ..subject.answers import interpret, read_answer
 from ..subject.command import Draw
@@ -246,6 +246,15 @@ def _unclaimed(draft: Draft) -> list[str]:
     return ["", f"[adapter.{draft.protocol}.unclaimed]", *lines]
 
 
+def _skeleton(asked: Operation) -> str:
+    """Return a binding in which only what is in capitals has to be said."""
+    inputs = [name for name in asked.inputs if name not in (*asked.optional, asked.waits)]
+    arguments = ", ".join(f'ARGUMENT_FOR_{name.upper()} = "${name}"' for name in inputs)
+    results = ", ".join(f'{name} = "PATH"' for name in asked.needed)
+    parts = ['tool = "TOOL"', *([f"arguments = {{ {arguments} }}"] if inputs else [])]
+    return f"{{ {', '.join([*parts, *([f'result = {{ {results} }}'] if results else [])])} }}"
+
+
 def _said_without_device(draft: Draft, operation: str) -> str | None:
     """Return what is known of a status of which the device saw nothing, or that says nothing of the device; None for any other tool."""
     proposal = draft.proposals.get(operation)
@@ -341,7 +350,7 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
         )
         return [
             f"# {operation}: {asked.meaning}. No tool was found.",
-            f"# {head}",
+            f"# {operation} = {_skeleton(asked)}",
         ]
     guess = proposal.guess
     body = [f"tool = {_value(guess.tool)}", f"arguments = {_value(dict(guess.arguments))}"]

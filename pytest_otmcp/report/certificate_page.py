@@ -82,7 +82,7 @@ def _not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield what the run says nothing about: whose it is, what, and why not."""
     for protocol, facts in told["adapters"].items():
         name, facets = protocols()[protocol].name, facts["facets"]
-        yield from ((name, tool, "a tool that was never called") for tool in facts["tools_never_called"])
+        yield from ((name, tool, "a tool whose answers were never judged") for tool in facts["tools_never_called"])
         yield from (
             (name, facet, f"the vendor does not claim it: {why}") for facet, why in facets["not_claimed"].items()
         )

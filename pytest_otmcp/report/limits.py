@@ -63,10 +63,10 @@ def narrowed(run: Run) -> list[str]:
 
 
 def unknown_tools(run: Run) -> list[str]:
-    """Return a sentence for each adapter that lists tools which the run never called."""
+    """Return a sentence for each adapter that lists tools which the run never called, but to see whether they write."""
     told = {key: never_called(facts) for key, facts in run["subject"]["adapters"].items()}
     return [
-        f"The {protocols()[key].name} adapter lists {counted(len(tools), 'tool')} that this run never called and says nothing about: "
+        f"The {protocols()[key].name} adapter lists {counted(len(tools), 'tool')} whose answers this run says nothing about: "
         f"{', '.join(clipped(tool, _LETTERS) for tool in tools[:_MOST_NAMED])}"
         + (f" and {len(tools) - _MOST_NAMED} more" if len(tools) > _MOST_NAMED else "")
         for key, tools in told.items()

@@ -11,6 +11,7 @@ from typing import Any, cast
 from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
 from ..record.schema import Finding
+from ..subject.model import READ_WRITE
 from .text import clipped
 
 __all__ = ["InWords", "due", "in_words"]
@@ -61,17 +62,25 @@ def due(finding: Finding) -> str:
 
 
 def in_words(
-    calls: Sequence[Mapping[str, Any]], entries: Sequence[Mapping[str, Any]], message: str = ""
+    calls: Sequence[Mapping[str, Any]],
+    entries: Sequence[Mapping[str, Any]],
+    message: str = "",
+    *,
+    contradicted: bool = False,
 ) -> InWords | None:
     """Tell the call in which the fault shows, as far as a record tells: the one that a finding names, else of those that gave the values
     in it one that did not go as required, else the last one that changed the device, else the first of the task; None without calls.
 
     Args:
         message: the finding, without the role that it may begin with.
+        contradicted: the device contradicts what the adapter said, which no refusal of the same call by another launch is.
     """
     if not calls:
         return None
-    calls = [call for call in calls if message.startswith(f"{_label(call)}: ")] or _closest(calls, message)
+    named = [call for call in calls if message.startswith(f"{_label(call)}: ")]
+    if contradicted:
+        named = [call for call in named if call["ok"]] or named
+    calls = named or _closest(calls, message)
     requests = [entry for entry in entries if entry.get("request") and entry.get("origin", "client") == "client"]
     changing = [entry for entry in requests if entry.get("state_changing")]
     call = next((call for call in calls if not call["ok"]), None)
@@ -82,11 +91,16 @@ def in_words(
     during = during or [entry for entry in entries if entry.get("kind") == "malformed" and _during(call, entry)]
     shown = [entry for entry in during if entry.get("state_changing")] or during
     return InWords(
-        asked=clipped(f"{call.get('tool')} {_json(call.get('arguments'))}", _LETTERS),
+        asked=clipped(f"{call.get('tool')} {_json(call.get('arguments'))}", _LETTERS) + _launched(call),
         said=clipped(_said(call), _LETTERS),
         seen=tuple(clipped(_described(entry), _LETTERS) for entry in shown[:_SHOWN]),
         more_seen=max(0, len(shown) - _SHOWN),
     )
+
+
+def _launched(call: Mapping[str, Any]) -> str:
+    variant = call.get("variant", READ_WRITE)
+    return "" if variant == READ_WRITE else f" (of the launch {variant!r})"
 
 
 def _closest(calls: Sequence[Mapping[str, Any]], message: str) -> Sequence[Mapping[str, Any]]:

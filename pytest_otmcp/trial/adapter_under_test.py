@@ -892,6 +892,9 @@ class AdapterUnderTest:
             self.check_address(tool, arguments if writes else filled, writes=writes)
             self._called.add(tool)
             exchange = await session.call(tool, expanded(arguments), timeout_s=timeout_s, cancel=cancel)
+            if tool != binding.tool:
+                # What another tool than the one that is bound answers is not judged: it counts as not called.
+                session.calls[tool] -= 1
             exchange = replace(exchange, arguments=arguments)
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
         if altered is not None and altered.tool is not None:

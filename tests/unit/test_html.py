@@ -286,7 +286,7 @@ def test_what_failed_around_the_repetitions_is_shown_with_its_calls_and_its_devi
         ],
     }
     shown = Page(page(run([around]))).text
-    assert "Asked ping {} The adapter said something that is no envelope The device saw" in shown
+    assert "Asked ping {} (of the launch 'ro') The adapter said something that is no envelope The device saw" in shown
     assert "Around the repetitions: warm-up, set-up and controls control: it wrote WR-004" in shown
     assert "modbus (writes disabled), control" in shown
     assert "modbus device, connection 1 (writes disabled)" in shown
@@ -703,6 +703,19 @@ def test_what_a_finding_about_the_device_shows_is_the_call_that_gave_its_value()
     other = in_words(calls, [], "the device should have seen one write, it saw none")
     assert other is not None
     assert other.asked == 'write_register {"address": 1, "value": 63409}'
+
+
+def test_what_contradicts_an_adapter_is_shown_with_what_it_claimed_and_not_with_the_refusal_of_another_launch() -> None:
+    written = {"ok": True, "tool": "write_register", "arguments": {"value": 1}, "role": "task", "latency_ms": None}
+    refused = {**written, "ok": False, "variant": "ro"}
+    message = (
+        "write_register(value=1): with writes enabled the device should have seen one request that writes, it saw 0"
+    )
+    told = [in_words([refused, written], [], message, contradicted=whether) for whether in (True, False)]
+    assert [one.asked for one in told if one is not None] == [
+        'write_register {"value": 1}',
+        "write_register {\"value\": 1} (of the launch 'ro')",
+    ]
 
 
 def test_the_verdict_says_whether_the_device_contradicts_the_adapter() -> None:

@@ -671,6 +671,12 @@ def test_what_was_not_found_is_declared_as_unclaimed_with_a_reason_that_says_who
         for name in missing
     )
     assert {sentence.partition(" (")[0] for sentence in draft.left} >= missing
+    # What is proposed for it is a binding whose capitals are to be filled in.
+    kept = [line for line in text.splitlines() if not line.startswith(tuple(f"{name} = " for name in missing))]
+    bound = [
+        line.removeprefix("# ") if line.startswith(tuple(f"# {name} = " for name in missing)) else line for line in kept
+    ]
+    assert tomllib.loads("\n".join(bound))["adapter"][protocol]["bind"].keys() == missing
 
 
 def test_a_tool_that_is_only_a_guess_is_not_declared_as_unclaimed() -> None:

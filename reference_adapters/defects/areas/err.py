@@ -132,6 +132,30 @@ def as_if_all_were_written(status: str) -> Change:
     return all_written
 
 
+@around("read_multiple_opcua_nodes")
+async def the_first_twenty_again(genuine: Handler, call: Call, arguments: Any) -> Data:
+    items = (await genuine(call, arguments))["items"]
+    return {"items": [{**items[index % 20], "node_id": item["node_id"]} for index, item in enumerate(items)]}
+
+
+def last_good_value(server: AdapterServer) -> None:
+    known: dict[str, Data] = {}
+
+    @around("read_multiple_opcua_nodes")
+    async def from_memory(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            items = (await genuine(call, arguments))["items"]
+        except AdapterError as error:
+            told = (error.partial or {}).get("items", [])
+            if not told or any(not item["success"] and item["node_id"] not in known for item in told):
+                raise
+            return {"items": [item if item["success"] else known[item["node_id"]] for item in told]}
+        known.update((item["node_id"], item) for item in items)
+        return {"items": items}
+
+    from_memory(server)
+
+
 def nothing_of_the_rest(call: Call, error: AdapterError) -> Exception | None:
     if error.code != "partial_failure":
         return None
@@ -248,6 +272,20 @@ DEFECTS: tuple[Defect, ...] = (
         "While the server is off, invalid input is a failed connection.",
         connects_first_opcua,
         "ERR-007",
+    ),
+    defect(
+        "MU-61t",
+        "opcua",
+        "Of a batch of nodes those after the twentieth have the values of the first ones.",
+        the_first_twenty_again,
+        "ERR-008",
+    ),
+    defect(
+        "MU-61m",
+        "opcua",
+        "Of several nodes one whose value is bad has the value that it had last.",
+        last_good_value,
+        "ERR-008",
     ),
     defect(
         "MU-117b",

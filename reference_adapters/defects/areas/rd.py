@@ -106,6 +106,22 @@ def unsigned_as_signed(server: AdapterServer) -> None:
     opcua_tools.from_variant = signed
 
 
+def only_what_has_changed(server: AdapterServer) -> None:
+    known: dict[str, float] = {}
+
+    @around("read_opcua_node")
+    async def nearly_as_before(genuine: Handler, call: Call, arguments: Any) -> Data:
+        data = await genuine(call, arguments)
+        value, before = data["value"], known.get(arguments.node_id)
+        if isinstance(value, float):
+            if before is not None and abs(value - before) < 1e-5 * abs(before):
+                return {**data, "value": before}
+            known[arguments.node_id] = value
+        return data
+
+    nearly_as_before(server)
+
+
 DEFECTS: tuple[Defect, ...] = (
     defect(
         "MU-01r",
@@ -120,6 +136,13 @@ DEFECTS: tuple[Defect, ...] = (
         "opcua",
         "Numbers of 16 bits without a sign are read as numbers with one.",
         unsigned_as_signed,
+        "RD-001",
+    ),
+    defect(
+        "MU-57d",
+        "opcua",
+        "A value that has changed by less than a hundred-thousandth is told as before.",
+        only_what_has_changed,
         "RD-001",
     ),
     defect("MU-05", "modbus", "Whatever unit is asked for, it is unit 1.", always_unit_1, "RD-003"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import difflib
 from functools import partial
 from typing import Any
 
@@ -43,6 +44,34 @@ async def coil_not_sent(genuine: Handler, call: Call, arguments: Any) -> Data:
 @around("write_opcua_node")
 async def node_not_written(genuine: Handler, call: Call, arguments: Any) -> Data:
     return {"node_id": arguments.node_id, "value": arguments.value, "data_type": "Double", "status": "Good"}
+
+
+_KNOWN = ["ns=2;s=ValvePosition", "ns=2;s=FanSpeed", "ns=2;s=HeaterPower", "ns=2;s=PumpEnabled"]
+
+
+@around("write_opcua_node")
+async def the_nearest_name(genuine: Handler, call: Call, arguments: Any) -> Data:
+    try:
+        return await genuine(call, arguments)
+    except AdapterError as error:
+        found = difflib.get_close_matches(arguments.node_id, _KNOWN, 1)
+        if error.code != "illegal_address" or not found:
+            raise
+        data = await genuine(call, arguments.model_copy(update={"node_id": found[0]}))
+        return {**data, "node_id": arguments.node_id}
+
+
+def equal_to_the_last(server: AdapterServer) -> None:
+    written: dict[str, Data] = {}
+
+    @around("write_opcua_node")
+    async def only_what_differs(genuine: Handler, call: Call, arguments: Any) -> Data:
+        before = written.get(arguments.node_id)
+        if before is None or before["value"] != arguments.value:
+            written[arguments.node_id] = await genuine(call, arguments)
+        return written[arguments.node_id]
+
+    only_what_differs(server)
 
 
 @around(_BLOCK)
@@ -311,6 +340,22 @@ DEFECTS: tuple[Defect, ...] = (
         node_not_written,
         "WR-001 WR-002 WR-003 WR-004 WR-005 WR-006 WR-007 WR-010",
         "OUA-001 WR-001 WR-006 WR-007 WR-012",
+    ),
+    defect(
+        "MU-14y",
+        "opcua",
+        "A write to a node that does not exist goes to one that is called nearly like it.",
+        the_nearest_name,
+        "WR-001",
+        "WR-001 WR-002",
+    ),
+    defect(
+        "MU-14z",
+        "opcua",
+        "A write of the value that was written last is told as done, and not sent.",
+        equal_to_the_last,
+        "WR-001 WR-004",
+        "WR-001",
     ),
     defect(
         "MU-15w",
