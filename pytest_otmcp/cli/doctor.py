@@ -210,6 +210,7 @@ async def _examine(adapter: Adapter, variant: str, isolation: Isolation, say: Ca
     from ..onboarding.known_causes import find_advice
     from ..onboarding.pack import load_pack
     from ..plant.mock_device import MockDevice
+    from ..report.causes import remedy
     from ..subject.binding_check import check_bindings
     from ..subject.model import READ_WRITE, SECURE_FORM
     from ..subject.tools import unbound
@@ -261,8 +262,9 @@ async def _examine(adapter: Adapter, variant: str, isolation: Isolation, say: Ca
         say(f"{variant}: {failure}")
         known = protocols()[adapter.protocol].onboarding is not None
         causes = load_pack(adapter.protocol).causes if known else ()
-        for advice in find_advice(str(failure), causes):
-            say(f"-> {advice.cause} {advice.remedy}")
+        found = [f"{advice.cause} {advice.remedy}" for advice in find_advice(str(failure), causes)]
+        for told in found or filter(None, [remedy(None, failure.code)]):
+            say(f"-> {told}")
         if shutil.which(program) is not None:
             say(f"({program} is {shutil.which(program)})")
         return False

@@ -16,8 +16,8 @@ __all__ = ["JUnitFile", "tell_junit"]
 
 
 class JUnitFile:
-    """A plugin that has a run which the kit refuses in the JUnit file, as an error: a file without tests looks like one of a run in which
-    nothing failed."""
+    """A plugin that has a run which the kit refuses, or which was interrupted, in the JUnit file as an error: a file without failures looks
+    like one of a run in which nothing failed."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -25,11 +25,12 @@ class JUnitFile:
     def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
         """Take the sentence with which the run ends, as pytest's own file takes an internal error."""
         file = self._config.stash.get(xml_key, None)
-        if file is None or not isinstance(excinfo.value, pytest.exit.Exception):
+        if file is None:
             return
+        sentence = excinfo.value.msg if isinstance(excinfo.value, pytest.exit.Exception) else "interrupted"
         reporter = file.node_reporter("otmcp")
         reporter.attrs.update(classname="otmcp", name="run")
-        reporter._add_simple("error", one_line(excinfo.value.msg), "")
+        reporter._add_simple("error", one_line(sentence), "")
 
 
 def tell_junit(config: pytest.Config, recorder: RunRecorder) -> None:

@@ -125,7 +125,7 @@ def _programs(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         for what, digest in (
             (tested["program"], tested["program_sha256"]),
             (f"{counted(tested['files'], 'file')} of its own", tested["files_sha256"]),
-            (counted(tested["packages"], "list") + " of packages", tested["packages_sha256"]),
+            (counted(tested["packages"], "package"), tested["packages_sha256"]),
         ):
             if digest is not None:
                 digests.setdefault((what, digest.partition(":")[2]), []).append(protocols()[protocol].name)

@@ -14,6 +14,7 @@ from ..core.verdict import Verdict
 from ..core.walls import missing
 from ..record.warnings import warnings
 from ..suite.catalogue import known_tasks
+from ..suite.explanations import HOW_A_LEVEL_IS_EARNED
 from ..suite.explanations import item as explained_item
 from ..suite.levels import in_words, not_shown, said, shown, standings
 from ..suite.places import address
@@ -113,6 +114,7 @@ def page(run: Run, certificate: str | None = None) -> str:
         counted=tell(counts),
         level=in_words(standings(catalogue(), run["items"], run["subject"]["adapters"])),
         version=catalogue().version,
+        how=HOW_A_LEVEL_IS_EARNED,
         meanings=[(level.capitalize(), level.meaning) for level in Level],
         walls=walls,
         deadlines=deadlines(run),

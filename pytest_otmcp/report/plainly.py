@@ -133,7 +133,7 @@ def _said(call: Mapping[str, Any]) -> str:
     error = envelope.get("error")
     message = error.get("message") if isinstance(error, Mapping) else None
     outcome = error.get("outcome") if isinstance(error, Mapping) else None
-    return f"{call.get('error_code') or 'failure'}{f' ({outcome})' if outcome else ''}, {_json(message)}"
+    return f"{call.get('error_code') or 'failure'}{f' (outcome {outcome})' if outcome else ''}, {_json(message)}"
 
 
 def _label(call: Mapping[str, Any]) -> str:

@@ -79,7 +79,7 @@ def test_the_program_that_was_started_is_named_with_its_digest(statement: dict[s
     page = shown(statement)
     assert f"Modbus: acme-modbus sha256 {'e' * 64}" in page
     assert f"Modbus: 3 files of its own sha256 {'f' * 64}" in page
-    assert f"Modbus: 1 list of packages sha256 {'0' * 64}" in page
+    assert f"Modbus: 1 package sha256 {'0' * 64}" in page
     assert "own files" not in page
     tested |= {"files": 0, "files_sha256": None}
     assert "Modbus: own files none that the kit knows: the digest is that of acme-modbus" in shown(statement)
