@@ -189,8 +189,8 @@ def again_after_silence(server: AdapterServer, *names: str, times: int = 1) -> N
         wrap(server, name, again)
 
 
-def said_to_ask(attempts: int) -> Callable[[Adapter], Adapter]:
-    """Return the description of an adapter that asks a silent device so often."""
+def said_to_ask(attempts: int | None) -> Callable[[Adapter], Adapter]:
+    """Return the description of an adapter that asks a silent device so often; None for one that says nothing of it."""
 
     def described(adapter: Adapter) -> Adapter:
         assert adapter.times is not None

@@ -15,7 +15,15 @@ from pytest_otmcp.reference_adapters.defects.defect import Handler, wrap
 from pytest_otmcp.reference_adapters.opcua.link import Link, Session
 from pytest_otmcp.reference_adapters.opcua.services import Services
 
-from .choice import backed_off, choices, deaf_to_cancellation, in_background, one_call_at_a_time, twice_where_missing
+from .choice import (
+    backed_off,
+    choices,
+    deaf_to_cancellation,
+    in_background,
+    one_call_at_a_time,
+    said_to_ask,
+    twice_where_missing,
+)
 
 __all__ = ["CHOICES"]
 
@@ -234,7 +242,12 @@ def polling(nodes: list[ua.NodeId], seconds: float) -> Callable[[AdapterServer],
     return apply
 
 
-@choice("polls the sensors that the tasks read, fifty times a second", "nobody forbids polling")
+@choice(
+    "polls the sensors that the tasks read, fifty times a second",
+    "nobody forbids polling",
+    # A poll that meets silence ends the connection, and a call that waits there is repeated over the next one, which the envelope says.
+    described=said_to_ask(None),
+)
 def polls_the_same_nodes(server: AdapterServer) -> None:
     polling(SENSORS, 0.02)(server)
 
