@@ -18,6 +18,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
 from .opcua_values import as_said
+from .provoked import expect_failure
 from .registers import registers
 from .steps import CONNECTION_FAULTS, a_read_works, exact_or_refused, exercise, faulty, knows_node, read, works_again
 
@@ -79,16 +80,21 @@ async def every_table_is_read_as_it_is(run: Repetition, modbus: Rig) -> None:
             run.succeeds(reply, requirement="RD-001", values=values)
 
 
+_CLOCK = 2258
+"""Node id of Server_ServerStatus_CurrentTime; OPC 10000-6, annex A."""
+
+
 @TASKS.check("RD-001", "What is read is what the server holds, whatever its type.", needs="opcua.read")
 async def every_type_is_read_as_it_is(run: Repetition, opcua: Rig) -> None:
     """Read a variable of each type that has a form of its own in JSON; they were set at random just before. One of them has nearly the same
-    value as before.
+    value as before. Read a node that does not exist, whose number is that of the server's clock but for the bits above the sixteenth.
 
-    Said: these values.
+    Said: these values; for the missing node a failure.
     Seen: the server holds them.
     Why: a number that was read as another type is another number.
     """
     await a_read_works(run, opcua)
+    expect_failure(run, await opcua.call("read", node=f"i={_CLOCK + (1 << 16)}"), requirement="RD-001")
     await opcua.device.poke(nodes="types")
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return

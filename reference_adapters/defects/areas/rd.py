@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from pymodbus.transport import ModbusProtocol
@@ -106,6 +107,13 @@ def unsigned_as_signed(server: AdapterServer) -> None:
     opcua_tools.from_variant = signed
 
 
+@around("read_opcua_node")
+async def node_id_of_the_lowest_bits(genuine: Handler, call: Call, arguments: Any) -> Data:
+    cut = re.sub(r"\bi=(\d+)$", lambda found: f"i={int(found[1]) & 0xFFFF}", arguments.node_id)
+    data = await genuine(call, arguments.model_copy(update={"node_id": cut}))
+    return {**data, "node_id": arguments.node_id}
+
+
 def only_what_has_changed(server: AdapterServer) -> None:
     known: dict[str, float] = {}
 
@@ -144,6 +152,9 @@ DEFECTS: tuple[Defect, ...] = (
         "A value that has changed by less than a hundred-thousandth is told as before.",
         only_what_has_changed,
         "RD-001",
+    ),
+    defect(
+        "MU-06u", "opcua", "Of a numeric node id the last sixteen bits count.", node_id_of_the_lowest_bits, "RD-001"
     ),
     defect("MU-05", "modbus", "Whatever unit is asked for, it is unit 1.", always_unit_1, "RD-003"),
     defect(
