@@ -199,6 +199,11 @@ def said_to_ask(attempts: int | None) -> Callable[[Adapter], Adapter]:
     return described
 
 
+POLLING_BESIDE_CALLS = said_to_ask(None)
+"""What is said of an adapter whose polls share the connection with its calls: a poll that meets silence ends the connection, and a call
+that waits there is repeated over the next one, which the envelope says."""
+
+
 def backed_off(connect: Callable[..., Awaitable[Any]], seconds: float) -> Callable[..., Awaitable[Any]]:
     """Return a way to connect that is not tried again for some seconds after it has failed."""
     until = 0.0

@@ -26,6 +26,7 @@ from pytest_otmcp.reference_adapters.ethernetip.wire import (
 )
 
 from .choice import (
+    POLLING_BESIDE_CALLS,
     again_after_silence,
     backed_off,
     background_call,
@@ -334,7 +335,9 @@ def reads_again_after_silence(server: AdapterServer) -> None:
     again_after_silence(server, *READS, "ping")
 
 
-@choice("polls the tags that the tasks read, fifty times a second", "nobody forbids polling")
+@choice(
+    "polls the tags that the tasks read, fifty times a second", "nobody forbids polling", described=POLLING_BESIDE_CALLS
+)
 def polls_the_same_tags(server: AdapterServer) -> None:
     tools = tools_of(server)
 

@@ -16,12 +16,12 @@ from pytest_otmcp.reference_adapters.opcua.link import Link, Session
 from pytest_otmcp.reference_adapters.opcua.services import Services
 
 from .choice import (
+    POLLING_BESIDE_CALLS,
     backed_off,
     choices,
     deaf_to_cancellation,
     in_background,
     one_call_at_a_time,
-    said_to_ask,
     twice_where_missing,
 )
 
@@ -245,8 +245,7 @@ def polling(nodes: list[ua.NodeId], seconds: float) -> Callable[[AdapterServer],
 @choice(
     "polls the sensors that the tasks read, fifty times a second",
     "nobody forbids polling",
-    # A poll that meets silence ends the connection, and a call that waits there is repeated over the next one, which the envelope says.
-    described=said_to_ask(None),
+    described=POLLING_BESIDE_CALLS,
 )
 def polls_the_same_nodes(server: AdapterServer) -> None:
     polling(SENSORS, 0.02)(server)

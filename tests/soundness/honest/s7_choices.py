@@ -21,6 +21,7 @@ from snap7.datatypes import S7Area, S7WordLen
 from pytest_otmcp.subject.model import Answering
 
 from .choice import (
+    POLLING_BESIDE_CALLS,
     again_after_silence,
     backed_off,
     background_call,
@@ -391,7 +392,11 @@ def keep_alive_reads(server: AdapterServer) -> None:
     in_background(server, poll)
 
 
-@choice("polls the data block that the tasks read, fifty times a second", "nobody forbids polling")
+@choice(
+    "polls the data block that the tasks read, fifty times a second",
+    "nobody forbids polling",
+    described=POLLING_BESIDE_CALLS,
+)
 def polls_the_same_block(server: AdapterServer) -> None:
     tools = tools_of(server)
 
