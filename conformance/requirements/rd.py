@@ -133,7 +133,7 @@ def _values(run: Repetition) -> Iterator[tuple[str, object]]:
         yield node, run.rng.randrange(2 ** (bits - 1), 2**bits)
     for node, bits in (("SByte", 8), ("Int16", 16), ("Int32", 32), ("Int64", 50)):
         yield node, -run.rng.randrange(1, 2 ** (bits - 1))
-    number = run.rng.uniform(1.0, 1e9)
+    number = run.rng.uniform(-1e9, 1e9)
     yield "Double", number
     # It is another value, also to who tells only what has changed by more.
     yield "Double", number * (1 + 1e-6)
