@@ -112,14 +112,23 @@ async def a_modbus_write_has_its_effect(run: Repetition, modbus: Rig) -> None:
     await _coils_go_both_ways(run, modbus)
     value, other = run.rng.sample(range(1, 0x10000), 2)
     change = {"unit": 1, "table": "holding_registers", "address": 1, "values": [other]}
-    await _again_after_a_change(run, modbus, change, {"1/holding_registers/1": value}, address=1, value=value)
+    held, elsewhere = {"1/holding_registers/1": value}, {"address": 2, "value": other}
+    await _again_after_a_change(run, modbus, change, held, elsewhere, address=1, value=value)
 
 
 async def _again_after_a_change(
-    run: Repetition, at: Rig, change: Mapping[str, Any], expected: Mapping[str, object], **inputs: Any
+    run: Repetition,
+    at: Rig,
+    change: Mapping[str, Any],
+    expected: Mapping[str, object],
+    elsewhere: Mapping[str, Any],
+    **inputs: Any,
 ) -> None:
-    """Write the same value twice; before each time somebody else has written another one."""
-    for _ in range(2):
+    """Write the same value again and again, the last time after another target was written; before each time somebody else has written
+    another value."""
+    for number in range(3):
+        if number == 2:
+            run.succeeds(await at.call(exercise(at).writing, **elsewhere), requirement="WR-001")
         await at.device.poke(**change)
         if run.succeeds(await at.call(exercise(at).writing, **inputs), requirement="WR-001"):
             run.witnessed(witness(at).holds(await at.device.image(), expected))
@@ -169,7 +178,8 @@ async def an_opcua_write_has_its_effect(run: Repetition, opcua: Rig) -> None:
     run.fails(refused, "device_failure", requirement="WR-001", code_requirement="ERR-003")
     value, other = (round(run.rng.uniform(low, low + 40.0), 3) for low in (1.0, 50.0))
     change = {"node": "ValvePosition", "value": other}
-    await _again_after_a_change(run, opcua, change, {_VALVE: value}, node=_VALVE, value=value)
+    elsewhere = {"node": "ns=2;s=FanSpeed", "value": other}
+    await _again_after_a_change(run, opcua, change, {_VALVE: value}, elsewhere, node=_VALVE, value=value)
     for nearly in (_VALVE[:-1], _VALVE.lower(), f"{_VALVE}1"):
         if not opcua.can_ask("write", {"node": nearly, "value": other}):
             continue

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+from ..core.matrix import BENCHMARK
 from . import Run, adapters
 
 __all__ = ["identity"]
@@ -21,10 +25,14 @@ def identity(run: Run) -> list[tuple[str, str]]:
         ("Date", _moment(str(run["environment"].get("started_at") or _NONE))),
         ("Duration", _NONE if elapsed is None else _duration(elapsed)),
         ("Kit", f"{run['kit'].get('name')} {run['kit'].get('version')}"),
-        ("Repetitions", f"N = {settings.get('reps', _NONE)}"),
+        ("Repetitions", f"N = {settings.get('reps', _NONE)}" if _benchmarked(settings) else "one of each check"),
         ("MCP revision", ", ".join(revisions) or _NONE),
         ("Transport", ", ".join(transports) or _NONE),
     ]
+
+
+def _benchmarked(settings: Mapping[str, Any]) -> bool:
+    return not {*BENCHMARK}.isdisjoint(settings.get("suites", BENCHMARK))
 
 
 def _moment(text: str) -> str:

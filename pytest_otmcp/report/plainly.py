@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
+from ..core.finding_registry import finding_codes
 from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
 from ..record.schema import Finding
@@ -17,6 +18,7 @@ from .text import clipped
 __all__ = ["InWords", "due", "in_words"]
 
 _LETTERS = 160
+_NO_REPLY = "no_reply"
 _LABEL = 160
 """Letters of a call's name at the beginning of a finding."""
 _SHOWN = 3
@@ -65,21 +67,24 @@ def in_words(
     calls: Sequence[Mapping[str, Any]],
     entries: Sequence[Mapping[str, Any]],
     message: str = "",
-    *,
-    contradicted: bool = False,
+    code: str = "",
 ) -> InWords | None:
     """Tell the call in which the fault shows, as far as a record tells: the one that a finding names, else of those that gave the values
     in it one that did not go as required, else the last one that changed the device, else the first of the task; None without calls.
 
     Args:
         message: the finding, without the role that it may begin with.
-        contradicted: the device contradicts what the adapter said, which no refusal of the same call by another launch is.
+        code: of the finding. What the device contradicts is a claim, and no refusal of the same call by another launch; a missing answer is
+            not that of an equal call at the same time.
     """
     if not calls:
         return None
     named = [call for call in calls if message.startswith(f"{_label(call)}: ")]
-    if contradicted:
-        named = [call for call in named if call["ok"]] or named
+    known = finding_codes().get(code)
+    if code == _NO_REPLY:
+        named = [call for call in named if call.get("latency_ms") is None] or named
+    elif known is not None and known.contradicts:
+        named = [call for call in named if _claims_success(call)] or named
     calls = named or _closest(calls, message)
     requests = [entry for entry in entries if entry.get("request") and entry.get("origin", "client") == "client"]
     changing = [entry for entry in requests if entry.get("state_changing")]
@@ -96,6 +101,11 @@ def in_words(
         seen=tuple(clipped(_described(entry), _LETTERS) for entry in shown[:_SHOWN]),
         more_seen=max(0, len(shown) - _SHOWN),
     )
+
+
+def _claims_success(call: Mapping[str, Any]) -> bool:
+    envelope = call.get("envelope")
+    return isinstance(envelope, Mapping) and envelope.get("success") is True
 
 
 def _launched(call: Mapping[str, Any]) -> str:
@@ -128,7 +138,7 @@ def _said(call: Mapping[str, Any]) -> str:
         return "nothing"
     if not isinstance(envelope, Mapping):
         return "something that is no envelope"
-    if envelope.get("success") is True:
+    if _claims_success(call):
         return f"success, {_json(envelope.get('data'))}"
     error = envelope.get("error")
     message = error.get("message") if isinstance(error, Mapping) else None

@@ -418,6 +418,9 @@ def test_the_first_lines_say_which_run_it_is() -> None:
         "Date 2026-11-21 07:03 UTC Duration 1.0 s Kit pytest-otmcp 0.0.0 Repetitions N = 30 "
         "MCP revision 2026-07-28 Transport streamable HTTP, stdio Every item that applies passed"
     ) in shown
+    # Checks run once, whatever N is.
+    record["settings"]["suites"] = ["requirements"]
+    assert "Repetitions one of each check MCP revision" in Page(page(record)).text
     # A record of an earlier kit does not say how it spoke to the adapters.
     assert "Transport — Every item that applies passed" in Page(page(run([M1]))).text
 
@@ -706,16 +709,25 @@ def test_what_a_finding_about_the_device_shows_is_the_call_that_gave_its_value()
 
 
 def test_what_contradicts_an_adapter_is_shown_with_what_it_claimed_and_not_with_the_refusal_of_another_launch() -> None:
-    written = {"ok": True, "tool": "write_register", "arguments": {"value": 1}, "role": "task", "latency_ms": None}
-    refused = {**written, "ok": False, "variant": "ro"}
+    asked = {"ok": True, "tool": "write_register", "arguments": {"value": 1}, "role": "task", "latency_ms": None}
+    written, refused = ({**asked, "envelope": {"success": success}} for success in (True, False))
+    refused["variant"] = "ro"
     message = (
         "write_register(value=1): with writes enabled the device should have seen one request that writes, it saw 0"
     )
-    told = [in_words([refused, written], [], message, contradicted=whether) for whether in (True, False)]
+    told = [in_words([refused, written], [], message, code) for code in ("not_written_once", "deadline_missed")]
     assert [one.asked for one in told if one is not None] == [
         'write_register {"value": 1}',
         "write_register {\"value\": 1} (of the launch 'ro')",
     ]
+
+
+def test_a_missing_answer_is_not_shown_with_that_of_an_equal_call() -> None:
+    silent = {"ok": True, "tool": "read", "arguments": {}, "role": "task", "latency_ms": None}
+    answered = {**silent, "latency_ms": 4000.0, "envelope": {"success": True, "data": {}}}
+    told = in_words([answered, silent], [], "read(): no reply within the deadline of 5 s", "no_reply")
+    assert told is not None
+    assert told.said == "nothing"
 
 
 def test_the_verdict_says_whether_the_device_contradicts_the_adapter() -> None:

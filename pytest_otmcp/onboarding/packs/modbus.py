@@ -237,7 +237,7 @@ PACK = Pack(
         "name": "tag tag_name name",
         "and_mask": "and_mask",
         "or_mask": "or_mask",
-        "count": "count quantity num number length size qty num_registers register_count n",
+        "count": "count quantity num number length size qty num_registers register_count n how_many",
     },
     lists=frozenset({"values"}),
     # The mock device's unit identifier.
