@@ -183,6 +183,8 @@ async def an_opcua_write_has_its_effect(run: Repetition, opcua: Rig) -> None:
     for nearly in (_VALVE[:-1], _VALVE.lower(), f"{_VALVE}1"):
         if not opcua.can_ask("write", {"node": nearly, "value": other}):
             continue
+        # A new proof sets values of its own.
+        await opcua.prove()
         before = await opcua.device.image()
         reply = await opcua.call("write", node=nearly, value=other)
         run.fails(reply, *ITS_OWN_REFUSALS, requirement="WR-001", code_requirement="ERR-003")
