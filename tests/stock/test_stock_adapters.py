@@ -133,6 +133,14 @@ def test_a_second_form_keeps_what_the_first_one_violates(name: str, protocol: st
     assert {result["status"] for result in results.values()} == {"PASS"}, words(results)
 
 
+def test_a_tool_that_is_called_only_to_see_whether_it_writes_counts_as_not_called(judge: Judge) -> None:
+    results, facts = judge(FILES / "modbus.toml", ["MCP-008.modbus"])
+    called = {call["tool"] for sample in results["MCP-008.modbus"]["samples"] for call in sample["calls"]}
+    assert "ping" in called
+    assert facts["calls"]["ping"] == 0
+    assert facts["calls"]["write_register"] > 0
+
+
 @pytest.mark.long
 def test_an_adapter_with_the_default_context_of_its_library_keeps_the_rows_of_security(judge: Judge) -> None:
     results, _ = judge(FILES / "mqtt.toml", [f"TLS-00{number}.mqtt" for number in (1, 2, 3)])
