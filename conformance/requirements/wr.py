@@ -126,11 +126,14 @@ async def _again_after_a_change(
 ) -> None:
     """Write the same value again and again, the last time after another target was written; before each time somebody else has written
     another value."""
+    writing = exercise(at).writing
+    if not at.can_ask(writing, inputs):
+        return
     for number in range(3):
-        if number == 2:
-            run.succeeds(await at.call(exercise(at).writing, **elsewhere), requirement="WR-001")
+        if number == 2 and at.can_ask(writing, elsewhere):
+            run.succeeds(await at.call(writing, **elsewhere), requirement="WR-001")
         await at.device.poke(**change)
-        if run.succeeds(await at.call(exercise(at).writing, **inputs), requirement="WR-001"):
+        if run.succeeds(await at.call(writing, **inputs), requirement="WR-001"):
             run.witnessed(witness(at).holds(await at.device.image(), expected))
 
 

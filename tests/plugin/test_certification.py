@@ -206,8 +206,8 @@ NOT_HELD = [
     ),
     (
         lambda directory: (directory / "certificate.json.sig").unlink(),
-        2,
-        "{}certificate.json.sig: there is no such file",
+        1,
+        "refused: the certificate is not signed: there is no {}certificate.json.sig",
     ),
     (
         lambda directory: no_certificate(directory, Path.mkdir),

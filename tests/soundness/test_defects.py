@@ -12,7 +12,7 @@ FAILS_IN_WORDS = "M4 FM1 FM2 S10 R-modbus"
 
 EXPECTED = {
     "none": ("", "", ""),
-    "unknown-tool": ("M1", "MCP-007 RD-004", "Unknown tool: ping"),
+    "unknown-tool": ("M1", "MCP-007", "Unknown tool: ping"),
     "traceback-as-text": (FAILS_IN_WORDS, "ENV-001", "no structuredContent object"),
     "write-sent-twice": ("M3 M4 X2 X2p FM2 S4", "WR-003", "it saw 2"),
     "hang": (READS_INPUT, "TMO-001", "no reply within the deadline"),
