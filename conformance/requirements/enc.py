@@ -764,7 +764,8 @@ async def times_of_nodes_are_utc(run: Repetition, opcua: Rig) -> None:
         if name in reply.outputs:
             stated = _instant(reply.outputs[name])
             if stated is None or (started is not None and abs(stated - started) > _CLOCKS):
-                run.judge(reply, [_wrong(reply, f"a time in UTC, about {started}", "ENC-007", name=name)])
+                about = "" if started is None else f", about {started}"
+                run.judge(reply, [_wrong(reply, f"a time in UTC{about}", "ENC-007", name=name)])
     await opcua.device.poke(nodes=["types", "special"])
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return

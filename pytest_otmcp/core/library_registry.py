@@ -24,10 +24,12 @@ class Hint:
     Attributes:
         requirements: ids of the rules that are not kept without the change.
         change: what to change, and why, in one sentence.
+        codes: of the findings that the change answers; empty where it answers all that cite the rules.
     """
 
     requirements: tuple[str, ...]
     change: str
+    codes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +69,12 @@ def libraries(package: str = __package__) -> Mapping[str, Library]:
             python=tuple(entry.get("python", ())),
             node=tuple(entry.get("node", ())),
             hints=tuple(
-                Hint(requirements=tuple(hint["requirements"]), change=hint["change"]) for hint in entry["hints"]
+                Hint(
+                    requirements=tuple(hint["requirements"]),
+                    change=hint["change"],
+                    codes=tuple(hint.get("codes", ())),
+                )
+                for hint in entry["hints"]
             ),
         )
         for name, entry in tomllib.loads(file.read_text(encoding="utf-8")).items()

@@ -204,7 +204,7 @@ def _cause(family: str, group: list[_Found], used: Collection[str], kinds_of: Ma
         words=_words(first),
         due=due(first.finding),
         by_rule="" if row is None else row.change,
-        by_library=tuple(advice(first.rule, used)),
+        by_library=tuple(advice(first.rule, used, first.finding["code"])),
     )
 
 

@@ -18,15 +18,16 @@ def known_libraries() -> Mapping[str, Library]:
     return {**libraries(), **{name: one for package in packages for name, one in libraries(package).items()}}
 
 
-def advice(requirement: str, used: Collection[str] | None = None) -> Iterator[str]:
+def advice(requirement: str, used: Collection[str] | None = None, code: str | None = None) -> Iterator[str]:
     """Yield a sentence for each change that keeps a rule, with the place that explains it.
 
     Args:
         requirement: id of the rule.
         used: names of the libraries that the adapter was seen to use; None for every library.
+        code: of the finding that is to be answered; None for every finding.
     """
     for name, library in known_libraries().items():
         if used is None or name in used:
             for hint in library.hints:
-                if requirement in hint.requirements:
+                if requirement in hint.requirements and (code is None or not hint.codes or code in hint.codes):
                     yield f"{name}: {hint.change} (otmcp docs {PAGE}#{library.anchor})"

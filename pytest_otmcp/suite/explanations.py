@@ -13,6 +13,7 @@ from ..core.error_registry import ErrorCode, registry, wire_codes
 from ..core.finding_registry import FindingCode, finding_codes
 from ..protocols.protocol import ANY_READ, COMMANDS, FACETS, LAUNCHES, READ, READ_OR_STATUS, WRITE
 from ..protocols.registry import protocols
+from ..subject.answers import UNCLASSIFIED
 from ..trial.explanation import explanation
 from ..trial.task import Task
 from .by_library import advice
@@ -87,6 +88,8 @@ def explained(identifier: str) -> list[Explained]:
         found.append(profile(part))
     if (code := registry().get(identifier)) is not None:
         found.append(error_code(code))
+    if identifier == UNCLASSIFIED:
+        found.append(_unclassified())
     if identifier in findings():
         found.append(finding_code(identifier))
     if identifier in facets():
@@ -106,7 +109,7 @@ def _by_folded() -> dict[str, str]:
 
 def identifiers() -> list[str]:
     """Return every id that can be explained, each once."""
-    names = [*known_tasks(), *requirements(), *_levels(), *catalogue().profiles, *registry(), *findings()]
+    names = [*known_tasks(), *requirements(), *_levels(), *catalogue().profiles, *registry(), UNCLASSIFIED, *findings()]
     return list(dict.fromkeys(names))
 
 
@@ -240,6 +243,19 @@ def error_code(code: ErrorCode) -> Explained:
         ("The same write", (_REPEAT.get(code.retry_write or "", ""),)),
         ("Stands for", tuple(_wire(code.code))),
         ("The paper calls it", (code.label or "",)),
+    )
+
+
+def _unclassified() -> Explained:
+    return _explained(
+        UNCLASSIFIED,
+        "error code",
+        "A failure in words of the adapter's own, for which the subject file has no code.",
+        ("Judged", ("As a failure: a code that cannot be told is not wrong.",)),
+        (
+            "In the subject file",
+            ("`errors` of the adapter's table: a text of the failure, and the code that it stands for",),
+        ),
     )
 
 

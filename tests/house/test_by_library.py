@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from pytest_otmcp.core.finding_registry import finding_codes
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject.imports import libraries_used
 from pytest_otmcp.suite.by_library import PAGE, advice, known_libraries
 from pytest_otmcp.suite.requirements import requirements
@@ -16,6 +18,7 @@ CHECKOUT = Path(__file__).parents[2]
 PATH = CHECKOUT / "docs" / f"{PAGE}.md"
 PARTS = re.split(r'^<a id="([a-z0-9-]+)"></a>$', PATH.read_text(encoding="utf-8"), flags=re.MULTILINE)
 FIRST = (CHECKOUT / "docs" / "first-adapter.md").read_text(encoding="utf-8")
+CODES = finding_codes().keys() | {code for one in protocols().values() for code in finding_codes(one.package)}
 BY_ANCHOR = dict(zip(PARTS[1::2], PARTS[2::2], strict=True))
 
 
@@ -30,6 +33,7 @@ def test_every_hint_is_about_rows_that_the_page_explains_under_the_library(name:
     cited = {row for hint in library.hints for row in hint.requirements}
     assert cited <= requirements().keys()
     assert {row for row in cited if row not in BY_ANCHOR[library.anchor]} == set()
+    assert {code for hint in library.hints for code in hint.codes} <= CODES
 
 
 def test_every_anchor_that_a_page_leads_to_is_there() -> None:

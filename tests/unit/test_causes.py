@@ -124,6 +124,16 @@ def test_a_cause_names_what_to_change_in_a_library_that_the_adapter_was_seen_to_
     assert elsewhere.by_library == ()
 
 
+def test_a_change_in_a_library_is_named_where_it_answers_the_finding_alone() -> None:
+    refused = finding("error code should be illegal_value, it is 'range_overflow'", "ERR-003")
+    told = run([failing("ERR-003.opcua", "OPC UA", refused)])
+    told["subject"]["adapters"]["opcua"]["libraries"] = {"asyncua": "server.py"}
+    for code, names in (("not_refused", True), ("wrong_error_code", False)):
+        refused["code"] = code
+        (cause,) = causes(cast(Run, told))
+        assert any("get_children" in change for change in cause.by_library) == names
+
+
 NOISE = {
     **finding("1 line(s) on stdout that are no MCP message, the first: 'Connected'", "MCP-001"),
     "code": "stdout_noise",
