@@ -148,7 +148,7 @@ def run(args: argparse.Namespace) -> int:
     named = "" if args.out == _DEFAULT else f"--otmcp-subject={args.out} "
     if not bound:
         show("No operation is bound, so a run has little to ask: bind one, and try it with otmcp call.")
-    show(f"Then: pytest {named}--otmcp-reps=1")
+    show(f"Then: pytest {named}--otmcp-reps=3")
     return 0
 
 

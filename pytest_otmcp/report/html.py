@@ -57,6 +57,8 @@ _SENTENCES = {
     "INDETERMINATE": "This run says nothing about the adapter: the kit itself failed.",
     "INCOMPLETE": "Not everything ran, so this run proves nothing yet.",
 }
+_RULES = 3
+"""Rules that a sentence names at most."""
 _TONES = {"CONFORMANT": "good", "NOT CONFORMANT": "bad"}
 
 
@@ -70,10 +72,13 @@ def _failed(verdict: str, found: Sequence[Cause]) -> str:
     if verdict != Verdict.NOT_CONFORMANT:
         return ""
     known = finding_codes()
-    false = sum(known[code].contradicts for cause in found if (code := cause.first["code"]) in known)
+    false = [cause.rule for cause in found if (code := cause.first["code"]) in known and known[code].contradicts]
     if not false:
         return "The adapter failed."
-    return f"The adapter failed, and its device contradicts what it said ({false} of {counted(len(found), 'cause')})."
+    rules = list(dict.fromkeys(false))
+    more = f" and {len(rules) - _RULES} more" if len(rules) > _RULES else ""
+    of = f"{len(false)} of {counted(len(found), 'cause')}: {', '.join(rules[:_RULES])}{more}"
+    return f"The adapter failed, and its device contradicts what it said ({of})."
 
 
 def write_html(run: Run, path: Path) -> None:

@@ -735,5 +735,5 @@ def test_the_verdict_says_whether_the_device_contradicts_the_adapter() -> None:
     for sample in short["samples"]:
         sample["findings"] = [finding("deadline_missed", "it answered after 9 s", "TMO-001", "")]
     assert "The adapter failed. Each cause is below" in Page(page(run([M1, short]))).text
-    told = "The adapter failed, and its device contradicts what it said (1 of 2 causes). Each cause"
+    told = "The adapter failed, and its device contradicts what it said (1 of 2 causes: WR-003). Each cause"
     assert told in Page(page(run([written_twice(), short]))).text

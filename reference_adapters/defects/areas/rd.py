@@ -21,6 +21,7 @@ __all__ = ["DEFECTS"]
 
 _READ_INPUT, _READ_HOLDING = "read_input_registers", "read_multiple_holding_registers"
 _MOST = 125
+_HALF = 64
 
 
 def always_unit_1(server: AdapterServer) -> None:
@@ -82,6 +83,19 @@ class AnyNumber(Registers):
 async def capped_at_125(genuine: Handler, call: Call, arguments: Any) -> Data:
     data = await genuine(call, arguments.model_copy(update={"count": min(arguments.count, _MOST)}))
     return data
+
+
+def long_blocks_remembered(server: AdapterServer) -> None:
+    """Keep what is beyond the first 64 registers of a block from its first read."""
+    kept: dict[int, list[Any]] = {}
+
+    @around(_READ_HOLDING)
+    async def remembering(genuine: Handler, call: Call, arguments: Any) -> Data:
+        data = await genuine(call, arguments)
+        rest = kept.setdefault(arguments.address, data["values"][_HALF:])
+        return {**data, "values": data["values"][:_HALF] + rest} if len(data["values"]) == _HALF + len(rest) else data
+
+    remembering(server)
 
 
 def register_by_register(server: AdapterServer) -> None:
@@ -197,6 +211,13 @@ DEFECTS: tuple[Defect, ...] = (
         "RD-003 RD-005",
     ),
     defect("MU-41", "modbus", "The two registers of a float are read in two requests.", register_by_register, "RD-007"),
+    defect(
+        "MU-41r",
+        "modbus",
+        "Of a long block of registers the second half comes from its first read.",
+        long_blocks_remembered,
+        "RD-007",
+    ),
     defect(
         "MU-42",
         "modbus",

@@ -74,6 +74,22 @@ def equal_to_the_last(server: AdapterServer) -> None:
     only_what_differs(server)
 
 
+def written_as_before(server: AdapterServer) -> None:
+    """Leave out a write of the value that a register was written with, once another register was written in between."""
+    written: dict[int, Data] = {}
+    last: list[int] = []
+
+    @around(_WRITE)
+    async def only_what_differs(genuine: Handler, call: Call, arguments: Any) -> Data:
+        at, before = arguments.address, written.get(arguments.address)
+        if before is None or before["value"] != arguments.value or last == [at]:
+            before = await genuine(call, arguments)
+        written[at], last[:] = before, [at]
+        return before
+
+    only_what_differs(server)
+
+
 @around(_BLOCK)
 async def next_block(genuine: Handler, call: Call, arguments: Any) -> Data:
     data = await genuine(call, arguments.model_copy(update={"address": arguments.address + 1}))
@@ -355,6 +371,13 @@ DEFECTS: tuple[Defect, ...] = (
         "A write of the value that was written last is told as done, and not sent.",
         equal_to_the_last,
         "WR-001 WR-004",
+        "WR-001",
+    ),
+    defect(
+        "MU-14m",
+        "modbus",
+        "A register is told as written with the value that it was written with before, and nothing is sent, once another one was written in between.",
+        written_as_before,
         "WR-001",
     ),
     defect(
