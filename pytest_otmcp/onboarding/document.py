@@ -19,8 +19,9 @@ from .effects import Effect
 from .evidence import CONNECT_FAILED, CONNECTION_LOST, failure_rules, known_errors, prose_rule
 from .proposal import Proposal
 from .readiness import Readiness
+from .switches import Switch
 
-__all__ = ["Draft", "switches_in", "write_document"]
+__all__ = ["Draft", "write_document"]
 
 _LONG_S, _MOST_S = 3.0, 30.0
 """Seconds: a call that took longer needs another deadline than the default of 5, and no certificate is given for a longer one."""
@@ -33,12 +34,6 @@ _FROM_MEMORY = "otmcp init saw no status that the device has a part in"
 _NO_TOOL, _NO_SWITCH = "otmcp init found no tool for it", "otmcp init does not know how writes are disabled"
 """Reasons for what is unclaimed; those of what was not found say who has looked."""
 
-_SWITCH = re.compile(r"READ_?ONLY|WRIT(E|ABLE|ING)", re.IGNORECASE)
-_BOTH = {
-    word: pair
-    for pair in (("true", "false"), ("1", "0"), ("yes", "no"), ("on", "off"), ("enabled", "disabled"))
-    for word in pair
-}
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -47,6 +42,7 @@ class Draft:
     """The facts that are known about an adapter.
 
     Attributes:
+        product_version: the version that its package says, and the file that it says it in.
         native: True when its answers are the kit's envelope.
         proposals: operation to its proposal; an operation without a tool is missing.
         commands: named commands by the names of their tools.
@@ -54,7 +50,8 @@ class Draft:
         readiness: the tool that each start waits for; None where no tool spoke of connecting.
         recovery: how it went on after an outage; None where nothing showed it.
         tools: names of all its tools.
-        switches: names of variables that its tools mention and that may disable writes.
+        switch: what was seen to disable and to enable its writes.
+        switches: what may do so by its name.
         started_s: how long its start took, with the handshake.
         longest_s: how long the longest call took that was answered.
         errors: error code to patterns of the texts in which the protocol's libraries report it.
@@ -64,6 +61,7 @@ class Draft:
     protocol: str
     name: str
     server_version: str
+    product_version: tuple[str, str] | None
     command: Sequence[str]
     env: Mapping[str, str]
     files: Mapping[str, str]
@@ -81,7 +79,8 @@ class Draft:
     longest_s: float
     errors: Mapping[str, Sequence[str]]
     choices: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    switches: Sequence[str] = ()
+    switch: Switch | None = None
+    switches: Sequence[Switch] = ()
     left: list[str] = field(default_factory=list)
 
     @property
@@ -120,8 +119,7 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         "",
         "[subject]",
         f"name = {_value(draft.name)}",
-        f"# Fill in the version of your product. {_about_version(draft.server_version)}",
-        'version = "unknown"',
+        *_version(draft),
         "",
     ]
     lines = [
@@ -129,7 +127,7 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         f"[adapter.{draft.protocol}]",
         f"command = {_value(list(draft.command))}",
     ]
-    if not into:
+    if not into and draft.product_version is None:
         draft.left.append("the version of your product")
     if draft.env:
         lines.append(f"env = {_value(dict(draft.env))}")
@@ -153,12 +151,9 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         lines += ['transport = "http"', f"url = {_value(draft.transport_url)}"]
     for key, (value, why) in draft.choices.items():
         lines += [f"# {why}", f"{key} = {_value(value)}"]
-    lines += [
-        "# How are writes disabled? The variant `ro` must refuse every write, `rw` must allow them; without that there can be a",
-        "# conformant run, but no certificate. For instance:",
-        *_switches(draft),
-    ]
-    draft.left.append("how writes are disabled: 'ro' and 'rw' (until then 'guard' is declared as unclaimed)")
+    lines += _disabling(draft)
+    if draft.switch is None:
+        draft.left.append("how writes are disabled: 'ro' and 'rw' (until then 'guard' is declared as unclaimed)")
     if draft.connect is not None:
         tool, arguments = draft.connect
         lines += [
@@ -195,30 +190,42 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     return "\n".join(printable(line) if line.startswith("#") else line for line in lines) + "\n"
 
 
+def _version(draft: Draft) -> list[str]:
+    if draft.product_version is not None:
+        version, file = draft.product_version
+        return [f"# By {file}.", f"version = {_value(version)}"]
+    return [
+        f"# Fill in the version of your product. {_about_version(draft.server_version)}",
+        'version = "unknown"',
+    ]
+
+
 def _about_version(version: str) -> str:
     return f"The server says {_value(version)}, which may be its SDK's." if version else "The server says none."
 
 
-def switches_in(texts: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of variables in texts that may disable writes, such as ``PLC_WRITES_ENABLED``."""
-    words = [word for text in texts for word in re.findall(r"\b[A-Z][A-Z0-9]*(?:_[A-Z0-9]+)+\b", text)]
-    return tuple(dict.fromkeys(word for word in words if _SWITCH.search(word)))
-
-
-def _switches(draft: Draft) -> list[str]:
-    """Return how writes may be disabled, by the variables that are called so."""
-    given = {name: value for name, value in draft.env.items() if _SWITCH.search(name)}
-    lines = []
-    for name in dict.fromkeys((*given, *draft.switches)):
-        disables = "READ" in name.upper()
-        on, off = _BOTH.get(given.get(name, "").lower(), ("true", "false"))
-        ro, rw = (on, off) if disables else (off, on)
-        lines += [
-            f"# {name} looks like it, which is not proven:",
-            f"# ro = {{ env = {{ {name} = {_value(ro)} }} }}",
-            f"# rw = {{ env = {{ {name} = {_value(rw)} }} }}",
+def _disabling(draft: Draft) -> list[str]:
+    """Return how writes are disabled, as was seen, or as may be by what is called so."""
+    if draft.switch is not None:
+        return [
+            f"# {draft.switch.name}: launched as `ro` a write failed, and the device saw nothing of it; launched as `rw` it saw the write.",
+            *_launches(draft.switch),
         ]
-    return lines or ['# ro = { args = ["--read-only"] }', '# rw = { env = { WRITES_ENABLED = "true" } }']
+    lines = [
+        "# How are writes disabled? The variant `ro` must refuse every write, `rw` must allow them; without that there can be a",
+        "# conformant run, but no certificate. For instance:",
+    ]
+    names = dict.fromkeys(one.name for one in draft.switches)
+    for switch in (next(one for one in draft.switches if one.name == name) for name in names):
+        lines.append(f"# {switch.name} looks like it, which is not proven:")
+        lines += [f"# {line}" for line in _launches(switch)]
+    if draft.switches:
+        return lines
+    return [*lines, '# ro = { args = ["--read-only"] }', '# rw = { env = { WRITES_ENABLED = "true" } }']
+
+
+def _launches(switch: Switch) -> list[str]:
+    return [f"{name} = {_value(entries)}" for name, entries in (("ro", switch.ro), ("rw", switch.rw)) if entries]
 
 
 def _unclaimed(draft: Draft) -> list[str]:
@@ -226,9 +233,9 @@ def _unclaimed(draft: Draft) -> list[str]:
     lines = [f"{facet} = {_value(_WAITS)}" for facet in draft.spared]
     lines += [
         "# Not proven, only proposed: take a line away when the adapter has what it names, and say above or below how.",
-        "# The launch with writes disabled is not known yet:",
-        f"{GUARD} = {_value(_NO_SWITCH)}",
     ]
+    if draft.switch is None:
+        lines += ["# The launch with writes disabled is not known yet:", f"{GUARD} = {_value(_NO_SWITCH)}"]
     for operation, asked in protocols()[draft.protocol].operations.items():
         if draft.commands and asked.writes:
             # The named commands say how it writes.

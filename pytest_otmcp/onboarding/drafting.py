@@ -18,14 +18,16 @@ from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from .after_outage import look_after_outage
 from .commands import look_for_commands
-from .document import Draft, switches_in
+from .document import Draft
 from .experimenter import Experimenter
 from .guess import Guess
 from .matching import guess_steps, guess_tools, registered, status_tools
 from .pack import Pack
+from .product_version import product_version
 from .proposal import Proposal, by_name
 from .readiness import look_for_readiness
 from .status import look_without_device
+from .switches import Switch, launched, look_for_switch, switches_of
 
 __all__ = ["describe_launch", "draft"]
 
@@ -111,12 +113,20 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
             under_test = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
         experimenter = Experimenter(under_test, device, pack.late, pack.samples)
         try:
-            proposals = await _try_operations(experimenter, pack, tools, registered(step), left, say)
+            switches = switches_of(adapter, (str(tool.get("description") or "") for tool in tools.values()))
+            names = registered(step)
+            proposals = await _try_operations(experimenter, pack, tools, names, say, writes=False)
+            await _begin_writing(experimenter, proposals.values(), left)
+            enabling, tools, written = await _try_writing(experimenter, adapter, switches, pack, tools, names, say)
+            proposals |= written
             performed = {
                 proposal.guess.tool for proposal in proposals.values() if proposal.proven or not proposal.tried
             }
             taken = performed | ({step.tool} if step is not None else set())
-            commands = await look_for_commands(experimenter, pack, tools, taken, registered(step), say)
+            commands = await look_for_commands(experimenter, pack, tools, taken, names, say)
+            switch = await look_for_switch(experimenter, adapter, (*enabling, *switches), proposals)
+            if switch is not None:
+                say(f"  guard           {switch.name} (proven: it disables writes, and enables them)")
             await look_without_device(experimenter, proposals)
             recovery = await look_after_outage(experimenter, proposals)
             if recovery not in (None, "same_session"):
@@ -135,6 +145,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         protocol=adapter.protocol,
         name=name or Path(adapter.variants["rw"].command[0]).name,
         server_version=version,
+        product_version=product_version(adapter.variants["rw"].command, Path.cwd()),
         command=adapter.variants["rw"].command,
         env=adapter.variants["rw"].env,
         files=adapter.variants["rw"].files,
@@ -148,7 +159,8 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         readiness=readiness,
         recovery=recovery,
         tools=tuple(tools),
-        switches=switches_in(str(tool.get("description") or "") for tool in tools.values()),
+        switch=switch,
+        switches=switches,
         started_s=started_s,
         longest_s=experimenter.longest_s,
         errors=pack.errors,
@@ -201,31 +213,70 @@ async def _try_operations(
     pack: Pack,
     tools: Mapping[str, Mapping[str, object]],
     names: Mapping[str, str],
-    failed: Sequence[str],
     say: Callable[[str], None],
+    *,
+    writes: bool,
 ) -> dict[str, Proposal]:
-    """Try every operation: first those that read, then those that write.
+    """Try every operation that reads, or every one that writes.
 
     What was read has to prove where the adapter leads before anything is written.
     """
-    operations = protocols()[pack.protocol].operations
     proposals: dict[str, Proposal] = {}
-    for writes in (False, True):
-        if writes:
-            await _begin_writing(experimenter, proposals.values(), failed)
-        for operation, known in operations.items():
-            if known.writes != writes:
-                continue
-            guesses, experiment = guess_tools(pack, operation, tools, names), pack.operations[operation].experiment
-            if experiment is not None:
-                proposal = await experimenter.best(guesses, experiment, writes=writes)
-            else:
-                proposal = by_name(guesses)
-            if proposal is not None:
-                proposals[operation] = proposal
-            if not known.status and (proposal is not None or not known.voluntary):
-                say(_line(operation, proposal, {*known.needed}))
+    for operation, known in protocols()[pack.protocol].operations.items():
+        if known.writes != writes:
+            continue
+        guesses, experiment = guess_tools(pack, operation, tools, names), pack.operations[operation].experiment
+        if experiment is not None:
+            proposal = await experimenter.best(guesses, experiment, writes=writes)
+        else:
+            proposal = by_name(guesses)
+        if proposal is not None:
+            proposals[operation] = proposal
+        if not known.status and (proposal is not None or not known.voluntary):
+            say(_line(operation, proposal, {*known.needed}))
     return proposals
+
+
+async def _try_writing(
+    experimenter: Experimenter,
+    adapter: Adapter,
+    switches: Sequence[Switch],
+    pack: Pack,
+    tools: dict[str, dict[str, object]],
+    names: Mapping[str, str],
+    say: Callable[[str], None],
+) -> tuple[Sequence[Switch], dict[str, dict[str, object]], dict[str, Proposal]]:
+    """Try every operation that writes; where none did, start the adapter with writes enabled by what is called so, and try again.
+
+    Returns:
+        The switch that helped, none where none was needed or none did; the tools of the launch that is in use then, and the proposals.
+    """
+    lines: list[str] = []
+    written = await _try_operations(experimenter, pack, tools, names, lines.append, writes=True)
+    enabling: Sequence[Switch] = ()
+    usual = experimenter.adapter
+    for switch in switches if not any(one.proven for one in written.values()) else ():
+        await experimenter.adapter.close()
+        experimenter.adapter = AdapterUnderTest(launched(adapter, switch.rw), READ_WRITE, usual.device, BenchOptions())
+        again: list[str] = []
+        try:
+            await experimenter.adapter.open()
+            assert experimenter.adapter.session is not None
+            listed = dict(experimenter.adapter.session.tools)
+            found = await _try_operations(experimenter, pack, listed, names, again.append, writes=True)
+        except SubjectError:
+            # It does not start so.
+            continue
+        if any(one.proven for one in found.values()):
+            lines, tools, written, enabling = again, listed, found, (switch,)
+            break
+    else:
+        if experimenter.adapter is not usual:
+            await experimenter.adapter.close()
+            experimenter.adapter = usual
+    for line in lines:
+        say(line)
+    return enabling, tools, written
 
 
 async def _begin_writing(experimenter: Experimenter, read: Iterable[Proposal], failed: Sequence[str]) -> None:

@@ -189,9 +189,7 @@ class Experimenter:
         calls = [exercise.write(self.random), *(exercise.every_write(self.random) if exercise.every_write else ())]
         done, claimed = 0, list[str]()
         for asked in (asked for asked in calls if asked.operation == proposal.guess.operation):
-            for poke in asked.pokes:
-                await self.device.poke(**poke)
-            shown = await self.call(proposal.guess, proposal.offset, **asked.inputs)
+            shown = await self.perform(proposal, asked)
             if await self._was_done(exercise, asked, shown):
                 done += 1
             elif shown.message is None or tells_failure(shown.message):
@@ -298,6 +296,17 @@ class Experimenter:
             words=failure if message is None else words_of(message),
             told=self._binding(guess, offset).told(inputs),
         )
+
+    async def perform(self, proposal: Proposal, asked: Asked) -> Shown:
+        """Write what is asked for, by a proposal.
+
+        Raises:
+            NotProvenError: nothing was written: the session may talk to any device.
+        """
+        self._writing = True
+        for poke in asked.pokes:
+            await self.device.poke(**poke)
+        return await self.call(proposal.guess, proposal.offset, **asked.inputs)
 
     async def write(self, guess: Guess, arguments: Mapping[str, object]) -> Shown:
         """Call a tool that writes, for which no operation stands, with these arguments.

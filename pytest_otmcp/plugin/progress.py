@@ -212,7 +212,7 @@ def _took_s(item: ItemBody) -> float:
 
 
 def _title(item: ItemBody, measured: Measured) -> str:
-    failed = "failed around them: " if control_failed(item, measured["passed"]) else ""
+    failed = "failed beside the repetitions: " if control_failed(item, measured["passed"]) else ""
     return f"{failed}{item['title']}"
 
 
@@ -226,5 +226,5 @@ def verbose_word(result: ItemResult) -> str:
     item, measured = result["item"], result["measured"]
     if item["status"] == "NOT_APPLICABLE":
         return "n/a"
-    failed = ", failed around them" if control_failed(item, measured["passed"]) else ""
+    failed = ", failed beside the repetitions" if control_failed(item, measured["passed"]) else ""
     return f"{item['status']} {measured['passed']}/{item['planned']}{failed}"

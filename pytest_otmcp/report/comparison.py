@@ -167,7 +167,7 @@ def _item(item: Item | None) -> Cell:
     if item["status"] == "NOT_APPLICABLE":
         return Cell(text=_NOT_APPLICABLE, tone="open")
     good, planned = tally([item])
-    passed = f"{good}/{planned}" + (", failed around them" if control_failed(item, good) else "")
+    passed = f"{good}/{planned}" + (", failed beside the repetitions" if control_failed(item, good) else "")
     tone = {"PASS": "good", "KIT_ERROR": "open", "INTERRUPTED": "open"}.get(item["status"], "bad")
     return Cell(text=item["status"], tone=tone, note=passed)
 

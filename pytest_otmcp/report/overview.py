@@ -276,7 +276,7 @@ def _flat(value: object) -> str:
 
 def _passed(item: Item) -> str:
     good, planned = tally([item])
-    return _count(good, planned) + (", failed around them" if control_failed(item, good) else "")
+    return _count(good, planned) + (", failed beside the repetitions" if control_failed(item, good) else "")
 
 
 def _count(good: int, total: int) -> str:

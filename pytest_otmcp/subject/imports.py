@@ -21,7 +21,7 @@ from ..core.files import regular
 from ..core.library_registry import Library, libraries
 from ..protocols.registry import protocols
 
-__all__ = ["libraries_used", "own_files"]
+__all__ = ["libraries_used", "own_files", "source_of"]
 
 _NODE = (".ts", ".mts", ".cts", ".js", ".mjs", ".cjs")
 _OF_NODE = re.compile(
@@ -71,7 +71,7 @@ def own_files(command: Sequence[str], cwd: Path) -> Iterator[Path]:
     waiting += [linked for linked in [Path(os.path.realpath(program))] if linked.suffix in _NODE]
     for place in (place for flag, place in pairwise(command) if flag == "-m"):
         waiting += _modules(place, [cwd, *installed])
-    if not waiting and Path(program).suffix == "" and _text(Path(program)).startswith("#!"):
+    if not waiting and Path(program).suffix == "" and source_of(Path(program)).startswith("#!"):
         # A console script imports the package that it starts.
         for name in _imported(Path(program)):
             waiting += _modules(name, installed)
@@ -120,7 +120,7 @@ def _imported(file: Path) -> Sequence[str]:
 # Each session asks anew, and an installed package may have as many files as are read.
 @lru_cache(maxsize=8 * _FILES)
 def _parsed(file: Path, changed_ns: int, size: int) -> Sequence[str]:
-    source = _text(file)
+    source = source_of(file)
     if file.suffix in _NODE:
         return [found["name"] for found in _OF_NODE.finditer(source) if found["name"]]
     try:
@@ -144,7 +144,8 @@ def _is_file(file: Path) -> bool:
         return False
 
 
-def _text(file: Path) -> str:
+def source_of(file: Path) -> str:
+    """Return the text of a file of the adapter's program, the first million bytes of it; nothing where it cannot be read."""
     try:
         with open(file, "rb", opener=regular) as stream:
             return stream.read(_BYTES).decode("utf-8", "replace")

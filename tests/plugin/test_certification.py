@@ -207,7 +207,7 @@ NOT_HELD = [
     (
         lambda directory: (directory / "certificate.json.sig").unlink(),
         1,
-        "refused: the certificate is not signed: there is no {}certificate.json.sig",
+        "refused: {}certificate.json is not signed: there is no {}certificate.json.sig",
     ),
     (
         lambda directory: no_certificate(directory, Path.mkdir),

@@ -152,12 +152,10 @@ def test_a_prose_adapter_is_described_by_what_the_device_saw(
     assert [rule.success for rule in adapter.answering.outcome] == [False]
     assert "illegal_address" in [rule.code for rule in adapter.answering.errors]
     assert adapter.variants["rw"].command[-1] == "{dir}/prose.py"
-    assert load_subject(tmp_path / "otmcp.toml").version == "unknown"
     first = (tmp_path / "otmcp.toml").read_text(encoding="utf-8").splitlines()[0]
     assert (
         json.loads(Path(first.removeprefix("#:schema ")).read_text(encoding="utf-8"))["$id"] == "urn:otmcp:subject-file"
     )
-    assert "the version of your product" in done.stdout
     assert adapter.unclaimed == {
         "guard": "otmcp init does not know how writes are disabled",
         "ping": "otmcp init found no tool for it",
@@ -247,6 +245,33 @@ def test_what_a_bad_argument_did_to_a_session_is_not_taken_for_what_an_outage_do
     told, adapter = proposed(HANGS, "modbus", "PLC")
     assert "write_holding   set_register (proven" in told
     assert adapter.recovery == "same_session"
+
+
+# Writes have to be allowed, and the tool that writes is not listed before.
+GUARDED = PROSE.replace(
+    """@server.tool(structured_output=False)
+def set_register(register: int, value: int) -> str:
+""",
+    """def set_register(register: int, value: int) -> str:
+""",
+).replace(
+    "server.run()",
+    """if os.environ.get("PLC_WRITES") == "1":
+    server.tool(structured_output=False)(set_register)
+server.run()""",
+)
+
+
+@pytest.mark.parametrize("usually", ["refused", pytest.param("allowed", marks=pytest.mark.long)])
+def test_what_disables_writes_is_found_in_the_program_and_proven(proposed: Proposed, usually: str) -> None:
+    script = GUARDED if usually == "refused" else GUARDED.replace('get("PLC_WRITES") ==', 'get("PLC_READ_ONLY") !=')
+    told, adapter = proposed(script, "modbus", "PLC")
+    name = "PLC_WRITES" if usually == "refused" else "PLC_READ_ONLY"
+    assert "write_holding   set_register (proven" in told
+    assert f"guard           {name} (proven: it disables writes, and enables them)" in told
+    assert adapter.variants["ro"].env[name] == ("0" if usually == "refused" else "1")
+    assert adapter.variants["rw"].env[name] == ("1" if usually == "refused" else "0")
+    assert "guard" not in adapter.unclaimed
 
 
 # A vocabulary of its own, and no tool that reads what the kit knows.

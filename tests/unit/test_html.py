@@ -530,7 +530,7 @@ def test_a_failed_control_does_not_look_like_a_pass() -> None:
     lost = {**item("S10", "stress", "Modbus", "Restart.", [1.0] * 2), "status": "FAIL"}
     lost["findings"] = [finding("no_reply", "control: no reply", "REC-002")]
     shown = Page(page(run([lost]))).text
-    assert "2/2, failed around them — " in shown
+    assert "2/2, failed beside the repetitions — " in shown
 
 
 def luminance(colour: str) -> float:

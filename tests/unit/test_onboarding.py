@@ -7,12 +7,14 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from pytest_otmcp.core.errors import UsageError
-from pytest_otmcp.onboarding.document import Draft, switches_in, write_document
+from pytest_otmcp.onboarding.document import Draft, write_document
+from pytest_otmcp.onboarding.drafting import describe_launch
 from pytest_otmcp.onboarding.evidence import (
     CONNECT_FAILED,
     CONNECTION_LOST,
@@ -30,7 +32,9 @@ from pytest_otmcp.onboarding.guess import Guess
 from pytest_otmcp.onboarding.known_causes import find_advice
 from pytest_otmcp.onboarding.matching import guess_steps, guess_tools, registered
 from pytest_otmcp.onboarding.pack import load_pack
+from pytest_otmcp.onboarding.product_version import product_version
 from pytest_otmcp.onboarding.proposal import Proposal, by_name
+from pytest_otmcp.onboarding.switches import switches_of
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject.answers import extract, read_answer
 from pytest_otmcp.subject.model import OutputRule
@@ -630,6 +634,7 @@ def drafted(**known: Any) -> Draft:
         "protocol": "modbus",
         "name": "x",
         "server_version": "1",
+        "product_version": None,
         "command": ["x"],
         "env": {},
         "secret_env": (),
@@ -671,6 +676,8 @@ def test_what_was_not_found_is_declared_as_unclaimed_with_a_reason_that_says_who
         for name in missing
     )
     assert {sentence.partition(" (")[0] for sentence in draft.left} >= missing
+    assert 'version = "unknown"' in text
+    assert "the version of your product" in draft.left
     # What is proposed for it is a binding whose capitals are to be filled in.
     kept = [line for line in text.splitlines() if not line.startswith(tuple(f"{name} = " for name in missing))]
     bound = [
@@ -689,8 +696,9 @@ def test_a_tool_that_is_only_a_guess_is_not_declared_as_unclaimed() -> None:
 
 def test_a_variable_that_is_called_so_is_proposed_as_the_switch_for_writes() -> None:
     env = {"PLC_HOST": "{host}", "PLC_WRITES": "1", "PLC_READ_ONLY": "no"}
-    switches = switches_in(["Write a register; needs ALLOW_WRITE. Set PLC_HOST.", "READ_ONLY_MODE forbids it."])
-    text = write_document(drafted(env=env, switches=switches))
+    texts = ["Write a register; needs ALLOW_WRITE. Set PLC_HOST.", "READ_ONLY_MODE forbids it."]
+    launch = describe_launch("modbus", ["no-such-adapter"], env, url=None, deadline_s=5.0, start_timeout_s=5.0)
+    text = write_document(drafted(env=env, switches=switches_of(launch, texts)))
     for name, disabled, enabled in (
         ("PLC_WRITES", "0", "1"),
         ("PLC_READ_ONLY", "yes", "no"),
@@ -702,6 +710,65 @@ def test_a_variable_that_is_called_so_is_proposed_as_the_switch_for_writes() -> 
         )
     assert "# PLC_HOST" not in text
     assert "ro" not in tomllib.loads(text)["adapter"]["modbus"]
+
+
+@pytest.mark.parametrize(
+    ("name", "source", "switches"),
+    [
+        ("x.py", 'if os.environ.get("PLC_WRITES") != "true":', {"PLC_WRITES": ("false", "true")}),
+        ("x.py", "os.environ['READONLY']", {"READONLY": ("true", "false")}),
+        ("x.py", 'parser.add_argument("--allow-writes", action="store_true")', {"--allow-writes": (None, "given")}),
+        ("x.py", 'parser.add_argument("--read-only", action="store_true")', {"--read-only": ("given", None)}),
+        (
+            "x.py",
+            'class S(BaseSettings):\n    model_config = {}\n    read_only: bool = True\nS(env_prefix="OPCUA_")',
+            {"OPCUA_READ_ONLY": ("true", "false")},
+        ),
+        ("x.mjs", "const on = process.env.ENABLE_WRITE === 'true'", {"ENABLE_WRITE": ("false", "true")}),
+        ("x.mjs", "z.object({ ALLOW_DEVICE_WRITES: z.string() })", {"ALLOW_DEVICE_WRITES": ("false", "true")}),
+        ("x.py", 'os.environ.get("WRITE_TIMEOUT_S"); os.getenv("MQTT_WRITE_TOPIC"); WRITE_SINGLE_COIL = 5', {}),
+    ],
+)
+def test_what_may_disable_writes_is_found_in_the_adapters_own_files(
+    tmp_path: Path, name: str, source: str, switches: dict[str, tuple[str | None, str | None]]
+) -> None:
+    (tmp_path / name).write_text(source, encoding="utf-8")
+    launch = describe_launch(
+        "modbus", ["python", str(tmp_path / name)], {}, url=None, deadline_s=5.0, start_timeout_s=5.0
+    )
+    found = switches_of(launch, ())
+    first = {one.name: one for one in reversed(found)}
+
+    def set_to(entries: Mapping[str, Any]) -> str | None:
+        return "given" if "args" in entries else next(iter(entries.get("env", {}).values()), None)
+
+    assert {one.name: (set_to(one.ro), set_to(one.rw)) for one in first.values()} == switches
+    # A variable may be set by 1 and 0 as well, or by anything at all.
+    assert len(found) == sum(1 if name.startswith("--") else 3 for name in switches)
+
+
+def test_the_version_of_the_product_is_that_of_its_package(tmp_path: Path) -> None:
+    (tmp_path / "src").mkdir()
+    program = tmp_path / "src" / "server.mjs"
+    program.write_text("// nothing", encoding="utf-8")
+    assert product_version(["node", str(program)], tmp_path) is None
+    (tmp_path / "package.json").write_text('{"name": "x", "version": "3.1.4"}', encoding="utf-8")
+    assert product_version(["node", str(program)], tmp_path) == ("3.1.4", "package.json")
+    text = write_document(drafted(product_version=("3.1.4", "package.json")))
+    assert '# By package.json.\nversion = "3.1.4"\n' in text
+
+
+def test_the_version_of_an_installed_package_is_that_of_its_metadata(tmp_path: Path) -> None:
+    packages = tmp_path / "lib" / "python3.11" / "site-packages"
+    (packages / "plant").mkdir(parents=True)
+    (packages / "plant-2.7.dist-info").mkdir()
+    (packages / "plant" / "__main__.py").write_text("", encoding="utf-8")
+    (packages / "plant-2.7.dist-info" / "RECORD").write_text("plant/__main__.py,sha256=x,0\n", encoding="utf-8")
+    (packages / "plant-2.7.dist-info" / "METADATA").write_text("Name: plant\nVersion: 2.7\n", encoding="utf-8")
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "plant").write_text("#!/usr/bin/python3\nimport plant\n", encoding="utf-8")
+    (tmp_path / "bin" / "plant").chmod(0o755)
+    assert product_version([str(tmp_path / "bin" / "plant")], tmp_path) == ("2.7", "plant-2.7.dist-info")
 
 
 def test_a_voluntary_operation_is_proposed_as_a_comment_and_is_no_work_for_the_user() -> None:
