@@ -108,14 +108,25 @@ def can_prove(run: Repetition, at: Rig) -> bool:
 
 
 async def it_answers(run: Repetition, at: Rig, *, requirement: str | None = None) -> None:
-    """Read by whichever operation the subject has; without any, ask for the list of tools. The session goes on."""
+    """Read by whichever operation the subject has; without any, ask for the list of tools. The session goes on.
+
+    A call before may have cost the connection to the device: then the read may fail until that is there again.
+    """
     asked = some_read(run, at)
     if asked is None:
         await at.session.listed_tools()
         return
+    await reads_soon(run, at, asked, requirement=requirement)
+
+
+async def reads_soon(run: Repetition, at: Rig, asked: Asked, *, requirement: str | None = None) -> None:
+    """Read until that succeeds, at most for as long as the subject may take to connect again."""
     for poke in asked.pokes:
         await at.device.poke(**poke)
-    run.succeeds(await at.call(asked.operation, **asked.inputs), requirement=requirement, **asked.outputs)
+    replies = await at.call_until_success(
+        asked.operation, window_s=at.subject.recovery_s, from_first_call=True, **asked.inputs
+    )
+    run.succeeds(replies[-1], requirement=requirement, **asked.outputs)
 
 
 def faulty(conditions: Iterable[Mapping[str, object]], **action: object) -> list[Mapping[str, object]]:

@@ -25,6 +25,7 @@ from .errors import UsageError
 
 __all__ = [
     "INEXPRESSIBLE",
+    "UNBOUND",
     "DeviationReport",
     "ExitCode",
     "KnownDeviation",
@@ -37,6 +38,9 @@ __all__ = [
 
 INEXPRESSIBLE = "no named command of the subject can express"
 """Beginning of the reason for which an item does not apply that asks for a write which only other adapters can make."""
+
+UNBOUND = "no binding of the subject is for"
+"""Beginning of the reason for which an item does not apply that asks for what an adapter has no tool for, or only with other inputs."""
 
 
 class Status(StrEnum):

@@ -237,10 +237,10 @@ def _unclaimed(draft: Draft) -> list[str]:
     if draft.switch is None:
         lines += ["# The launch with writes disabled is not known yet:", f"{GUARD} = {_value(_NO_SWITCH)}"]
     for operation, asked in protocols()[draft.protocol].operations.items():
-        if draft.commands and asked.writes:
-            # The named commands say how it writes.
+        if operation in draft.spared or (draft.commands and asked.writes):
+            # It stands above; or the named commands say how the adapter writes.
             continue
-        if operation not in {*draft.proposals, *draft.spared, *draft.lacking} and not asked.voluntary:
+        if operation not in {*draft.proposals, *draft.lacking} and not asked.voluntary:
             lines += [f"# No tool is called like one for it: {asked.meaning}.", f"{operation} = {_value(_NO_TOOL)}"]
         elif (said := _said_without_device(draft, operation)) is not None:
             lines += [f"# {asked.meaning}: {said}.", f"{operation} = {_value(_FROM_MEMORY)}"]

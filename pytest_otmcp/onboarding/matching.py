@@ -305,6 +305,8 @@ def _guess(
     missing = tuple(name for name in required(schema) if name not in arguments and name not in trials)
     can_show = missing and hints.experiment is not None
     orders = _orders(asked, arguments, schema, {*trials}) if can_show and not convert else ()
+    if not missing and hints.experiment is not None:
+        orders = _the_one_left(asked, arguments, optional, schema)
     if asked.voluntary and (missing or trials or not set(asked.inputs) <= placed):
         # What nobody has to have is only proposed where nothing is open.
         return None
@@ -364,6 +366,23 @@ def _orders(
         way |= {key: value for key, value in rest.items() if value not in way.values()}
         ways.append(way)
     return tuple(ways)
+
+
+def _the_one_left(
+    asked: Operation, arguments: Mapping[str, object], optional: Mapping[str, object], schema: Mapping[str, Any]
+) -> tuple[Mapping[str, object], ...]:
+    """Return the way to give the one input that has no argument to the one number or text that the tool does not require, whatever that is
+    called."""
+    left = [name for name in asked.inputs if name not in {*placeholders(arguments), *asked.optional, asked.waits}]
+    free = [
+        key
+        for key, described in properties(schema).items()
+        if key not in arguments
+        and key not in optional
+        and kinds(described) & {"integer", "number", "string"}
+        and "enum" not in described
+    ]
+    return ({**arguments, free[0]: f"${left[0]}"},) if len(left) == len(free) == 1 else ()
 
 
 def _trials(pack: Pack, hints: Hints, argument: str) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from datetime import datetime, timedelta
 
 from ..core.challenge import is_nonce, seed_of
 from ..core.matrix import FIELD, KNOWN_SUITES, REQUIREMENTS, repetitions
-from ..core.verdict import INEXPRESSIBLE, Status
+from ..core.verdict import INEXPRESSIBLE, UNBOUND, Status
 from .schema import COUNTED, ROLES, Call, Counted, Footer, Header, Item, ItemHead, Sample, Settings
 
 __all__ = [
@@ -61,7 +61,7 @@ def count_calls(items: Iterable[Item]) -> dict[Counted, int]:
 
 def inapplicable_by_steps(item: ItemHead) -> bool:
     """Tell whether the steps of an item found nothing to judge: they ran, and playing them back shows the same."""
-    may = item["suite"] in (REQUIREMENTS, FIELD) or (item["reason"] or "").startswith(INEXPRESSIBLE)
+    may = item["suite"] in (REQUIREMENTS, FIELD) or (item["reason"] or "").startswith((INEXPRESSIBLE, UNBOUND))
     return may and item["status"] == Status.NOT_APPLICABLE and bool(item["devices"])
 
 

@@ -218,10 +218,11 @@ def _plainest(group: list[_Found]) -> _Found:
 
 def _words(found: _Found) -> InWords | None:
     message, code = _ROLE.sub("", found.finding["message"]), found.finding["code"]
+    evidence = found.finding["evidence"]
     if found.repetition is not None:
         sample = next(one for one in found.item["samples"] if one["repetition"] == found.repetition)
-        return in_words(sample["calls"], sample["device"], message, code)
+        return in_words(sample["calls"], sample["device"], message, code, evidence)
     # Calls around the repetitions have frames where something was wrong.
     calls = [call for part in found.item["around"] for call in part["calls"] if "frames" in call]
     entries = [entry for part in found.item["around"] for entry in part["device"]]
-    return in_words(calls, entries, message, code)
+    return in_words(calls, entries, message, code, evidence)

@@ -12,6 +12,7 @@ from ..core.finding_registry import finding_codes
 from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
 from ..record.schema import Finding
+from ..subject.answers import UNCLASSIFIED
 from ..subject.model import READ_WRITE
 from .text import clipped
 
@@ -68,14 +69,17 @@ def in_words(
     entries: Sequence[Mapping[str, Any]],
     message: str = "",
     code: str = "",
+    evidence: str | None = None,
 ) -> InWords | None:
-    """Tell the call in which the fault shows, as far as a record tells: the one that a finding names, else of those that gave the values
-    in it one that did not go as required, else the last one that changed the device, else the first of the task; None without calls.
+    """Tell the call in which the fault shows, as far as a record tells: the one that a finding names, else of those during which came what
+    it shows, or that gave the values in it, one that did not go as required, else the last one that changed the device, else the first
+    of the task; None without calls.
 
     Args:
         message: the finding, without the role that it may begin with.
         code: of the finding. What the device contradicts is a claim, and no refusal of the same call by another launch; a missing answer is
             not that of an equal call at the same time.
+        evidence: what a finding about the device shows of it.
     """
     if not calls:
         return None
@@ -85,8 +89,8 @@ def in_words(
         named = [call for call in named if call.get("latency_ms") is None] or named
     elif known is not None and known.contradicts:
         named = [call for call in named if _claims_success(call)] or named
-    calls = named or _closest(calls, message)
     requests = [entry for entry in entries if entry.get("request") and entry.get("origin", "client") == "client"]
+    calls = named or _shown(calls, requests, evidence) or _closest(calls, message)
     changing = [entry for entry in requests if entry.get("state_changing")]
     call = next((call for call in calls if not call["ok"]), None)
     call = call or next((call for call in reversed(calls) if any(_during(call, entry) for entry in changing)), None)
@@ -111,6 +115,16 @@ def _claims_success(call: Mapping[str, Any]) -> bool:
 def _launched(call: Mapping[str, Any]) -> str:
     variant = call.get("variant", READ_WRITE)
     return "" if variant == READ_WRITE else f" (of the launch {variant!r})"
+
+
+def _shown(
+    calls: Sequence[Mapping[str, Any]], requests: Sequence[Mapping[str, Any]], evidence: str | None
+) -> Sequence[Mapping[str, Any]]:
+    """Return the calls during which a request came that the evidence shows."""
+    if not evidence:
+        return []
+    meant = [entry for entry in requests if _described(entry) in evidence]
+    return [call for call in calls if any(_during(call, entry) for entry in meant)]
 
 
 def _closest(calls: Sequence[Mapping[str, Any]], message: str) -> Sequence[Mapping[str, Any]]:
@@ -143,6 +157,13 @@ def _said(call: Mapping[str, Any]) -> str:
     error = envelope.get("error")
     message = error.get("message") if isinstance(error, Mapping) else None
     outcome = error.get("outcome") if isinstance(error, Mapping) else None
+    meta = envelope.get("meta")
+    if isinstance(meta, Mapping) and meta.get("synthesised") is True:
+        # Code and outcome are the subject file's.
+        code = call.get("error_code") or UNCLASSIFIED
+        return f"a failure, {_json(message)}" + (
+            "" if code == UNCLASSIFIED else f", which the subject file calls {code}"
+        )
     return f"{call.get('error_code') or 'failure'}{f' (outcome {outcome})' if outcome else ''}, {_json(message)}"
 
 

@@ -107,13 +107,12 @@ def _from_json(text: str) -> Any:
 
 
 def _plain(value: object) -> Any:
-    """Return the value if JSON can express it; records hold only such values.
+    """Return the value as JSON has it, a tuple as a list; records hold only such values.
 
     Raises:
         ValueError, TypeError: JSON cannot express it: NaN, infinity, or a literal of Python such as a set.
     """
-    json.dumps(value, allow_nan=False)
-    return value
+    return json.loads(json.dumps(value, allow_nan=False))
 
 
 def interpret(message: Mapping[str, object], answering: Answering) -> Answer:

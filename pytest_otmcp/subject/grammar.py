@@ -506,7 +506,11 @@ def binding_table(operation: Operation) -> Table:
                 "Handle to its place in the answer; arguments of later calls take it as $OPERATION.HANDLE.",
                 default={},
             ),
-            "when": Key(_by_input(inputs, ANYTHING), "Values of inputs for which this is the tool.", default={}),
+            "when": Key(
+                _by_input(inputs, ANYTHING),
+                "Values of inputs for which this is the tool; a list for any of them.",
+                default={},
+            ),
             "offset": Key(_by_input(inputs, NUMBER), "Number added to an input.", default={}),
             "names": Key(_by_input(inputs, _TABLE), "The vendor's name for each value of an input.", default={}),
             "as": Key(_by_input(inputs, _INPUT_TYPE), "The type in which the tool wants an input.", default={}),

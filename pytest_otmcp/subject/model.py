@@ -208,6 +208,10 @@ class Answering:
         return self.form == "envelope"
 
 
+def _is_one_of(given: object, wanted: object) -> bool:
+    return given == wanted or (isinstance(wanted, list) and not isinstance(given, list) and given in wanted)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Binding:
     """The tool call that performs an abstract operation, or one case of the operation.
@@ -220,7 +224,7 @@ class Binding:
         arguments: template; a string ``"$name"`` stands for the operation's input of that name, keeping its type, ``"$step.name"``
             for a handle that an earlier call kept, and ``{host}`` and its like are replaced as in a launch command.
         outputs: output name to its place in the answer.
-        when: input values for which this binding is meant; empty for all.
+        when: input values for which this binding is meant, a list for any of them; empty for all.
         offset: number added to an input.
         names: input name to the vendor's name for each of its values.
         convert: input name to the type in which the tool wants it.
@@ -283,7 +287,7 @@ class Binding:
         """Tell whether this binding is for these inputs."""
         if self.command is not None:
             return self.command.arguments(inputs) is not None
-        return all(inputs.get(name) == value for name, value in self.when.items())
+        return all(_is_one_of(inputs.get(name), value) for name, value in self.when.items())
 
     @property
     def follows(self) -> bool:

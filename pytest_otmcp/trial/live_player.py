@@ -245,7 +245,11 @@ class LivePlayer(Player):
         return found
 
     def is_bound(self, operation: str, inputs: Mapping[str, object], *, first: bool = False) -> bool:
-        return self._under_test.is_bound(operation, inputs, first=first)
+        bound = self._under_test.is_bound(operation, inputs, first=first)
+        if not bound and self._under_test.bindings(operation):
+            # What bindings are for is judged from the record as well.
+            self._under_test.used[operation] = None
+        return bound
 
     def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
         bound = self._under_test.adapter.operations.get(operation)

@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 from ..core.finding import Finding
-from ..core.verdict import INEXPRESSIBLE
+from ..core.verdict import INEXPRESSIBLE, UNBOUND
 from ..protocols.journal import ADAPTER, judged
 from ..protocols.registry import protocols
 from ..record.schema import DeviceEntry, Footprint, Role
@@ -101,11 +101,17 @@ class Rig(WriteGate):
         return any(case.command is not None and case.fits(inputs) for case in self.bindings(operation) or ())
 
     def _must_express(self, operation: str, inputs: Mapping[str, object]) -> None:
-        if self.expresses(operation, inputs):
+        if not self.expresses(operation, inputs):
+            reason = INEXPRESSIBLE
+        elif not self.subject.claims(operation) or (
+            self.bindings(operation) and not self._player.is_bound(operation, inputs)
+        ):
+            reason = UNBOUND
+        else:
             return
         if not any(finding.is_must for finding in self._ledger.findings):
             said = ", ".join(f"{name}={value!r}" for name, value in inputs.items())
-            self._ledger.inapplicable = f"{INEXPRESSIBLE} {operation} with {said:.60}"
+            self._ledger.inapplicable = f"{reason} {operation} with {said:.60}"
         raise EndedError
 
     def _excess(self, operation: str, tool: str, arguments: Mapping[str, object]) -> str | None:

@@ -20,6 +20,7 @@ class Launch:
         proven: operations that are bound, each to the tool; a binding that is proven is right.
         unfilled: operations whose tool is proven, and whose result is left to fill in.
         commands: tools that are bound by a named command, with the effect that the device saw.
+        guard: the variable or option that disables writes; None where nothing does.
         left: the number of entries that are left to fill in.
         env, files: what its documentation asks for.
     """
@@ -29,6 +30,7 @@ class Launch:
     command: tuple[str, ...]
     proven: Mapping[str, str]
     left: int
+    guard: str | None = None
     unfilled: Mapping[str, str] = field(default_factory=dict)
     commands: tuple[str, ...] = ()
     env: Mapping[str, str] = field(default_factory=dict)
@@ -62,22 +64,24 @@ LAUNCHES = (
             "read_coils": "read_coils",
             "write_holding": "write_register",
         },
-        left=3,
+        left=2,
     ),
     Launch(
         example="modbus-connector-mcp",
         protocol="modbus",
         command=(".venv/bin/modbus-connector-mcp",),
         proven={"read_input": "modbus_read", "read_holding": "modbus_read", "write_holding": "modbus_write"},
-        left=3,
+        guard="--read-only",
+        left=1,
     ),
     Launch(
         example="plctap",
         protocol="modbus",
         command=(".venv/bin/plctap",),
-        env={"PLCTAP_ALLOW_WRITE": "1", "PLCTAP_AUDIT_LOG": "{work}/audit.jsonl"},
+        env={"PLCTAP_AUDIT_LOG": "{work}/audit.jsonl"},
         proven={"ping": "probe_device", "read_holding": "plc_read", "write_holding": "plc_write"},
-        left=3,
+        guard="PLCTAP_ALLOW_WRITE",
+        left=1,
     ),
     Launch(
         example="plctap",
@@ -85,7 +89,7 @@ LAUNCHES = (
         command=(".venv/bin/plctap",),
         env={"PLCTAP_AUDIT_LOG": "{work}/audit.jsonl"},
         proven={"read": "plc_read", "browse": "plc_browse"},
-        left=5,
+        left=4,
     ),
     Launch(
         example="ezhuk-modbus-mcp",
@@ -100,7 +104,7 @@ LAUNCHES = (
             "read_discrete_inputs": "read_discrete_inputs",
             "write_holding": "write_register",
         },
-        left=3,
+        left=2,
     ),
     Launch(
         example="ot-aiops",
@@ -109,7 +113,7 @@ LAUNCHES = (
         env={"HOME": "{work}"},
         files=(_HOME.format("modbus", 'host: "{host}", port: {port}, unit_id: 1'),),
         proven={"read_input": "modbus_read_input", "read_holding": "modbus_read_holding"},
-        left=3,
+        left=2,
     ),
     Launch(
         example="ot-aiops",
@@ -118,7 +122,7 @@ LAUNCHES = (
         env={"HOME": "{work}"},
         files=(_HOME.format("mqtt", 'host: "{host}", port: {port}'),),
         proven={"messages": "mqtt_read_topic", "publish": "mqtt_publish"},
-        left=5,
+        left=4,
     ),
     Launch(
         example="ot-aiops",
@@ -127,28 +131,30 @@ LAUNCHES = (
         env={"HOME": "{work}"},
         files=(_HOME.format("opcua", 'endpoint_url: "{url}"'),),
         proven={"read": "opcua_read_node", "read_many": "opcua_read_many", "browse": "opcua_browse"},
-        left=4,
+        left=3,
     ),
     Launch(
         example="industriagents",
         protocol="modbus",
         command=(".venv/bin/modbus-mcp",),
-        env={"MODBUS_HOST": "{host}", "MODBUS_PORT": "{port}", "MODBUS_WRITES_ENABLED": "true"},
+        env={"MODBUS_HOST": "{host}", "MODBUS_PORT": "{port}"},
         proven={
             "ping": "ping",
             "read_input": "read_values",
             "read_holding": "read_values",
             "write_holding": "write_values",
         },
-        left=2,
+        guard="MODBUS_WRITES_ENABLED",
+        left=0,
     ),
     Launch(
         example="industriagents",
         protocol="mqtt",
         command=(".venv/bin/mqtt-mcp",),
-        env={"MQTT_BROKER_URL": "{url}", "MQTT_WRITES_ENABLED": "true"},
+        env={"MQTT_BROKER_URL": "{url}"},
         proven={"subscribe": "subscribe_topic", "messages": "read_messages", "publish": "publish_message"},
-        left=4,
+        guard="MQTT_WRITES_ENABLED",
+        left=2,
     ),
     Launch(
         example="industriagents",
@@ -161,7 +167,7 @@ LAUNCHES = (
             "browse": "browse_opcua_nodes",
             "write": "write_opcua_nodes",
         },
-        left=3,
+        left=2,
     ),
     Launch(
         example="kukapay-opcua-mcp",
@@ -176,7 +182,7 @@ LAUNCHES = (
         protocol="mqtt",
         command=(".venv/bin/mcmqtt",),
         proven={"subscribe": "mqtt_subscribe", "publish": "mqtt_publish"},
-        left=6,
+        left=5,
     ),
     Launch(
         example="mqtt-mcp-server",
@@ -185,7 +191,7 @@ LAUNCHES = (
         env={"MQTT_HOST": "{host}", "MQTT_PORT": "{port}", "HOME": "{work}"},
         proven={"publish": "publish"},
         unfilled={"messages": "record"},
-        left=6,
+        left=5,
     ),
     Launch(
         example="mqtt5-mcp-server",
@@ -193,39 +199,43 @@ LAUNCHES = (
         command=(".venv/bin/mqtt5-mcp-server",),
         env={"MQTT_HOST": "{host}", "MQTT_PORT": "{port}", "MQTT_USERNAME": "operator", "MQTT_PASSWORD": "of the mock"},
         proven={"subscribe": "start_subscription", "publish": "publish_message"},
-        left=6,
+        left=5,
     ),
     Launch(
         example="industriagents-s7comm-mcp",
         protocol="s7",
         command=(".venv/bin/s7comm-mcp",),
-        env={"S7_HOST": "{host}", "S7_PORT": "{port}", "S7_SLOT": "1", "S7_WRITES_ENABLED": "true"},
+        env={"S7_HOST": "{host}", "S7_PORT": "{port}", "S7_SLOT": "1"},
         proven={"read_db": "read_values", "read_typed": "read_values", "write_db": "write_values"},
-        left=2,
+        guard="S7_WRITES_ENABLED",
+        left=0,
     ),
     Launch(
         example="industriagents-bacnet-mcp",
         protocol="bacnet",
         command=(".venv/bin/bacnet-mcp",),
-        env={"BACNET_PORT": "{local_port}", "BACNET_WRITES_ENABLED": "true"},
+        env={"BACNET_PORT": "{local_port}"},
         proven={"read": "read_property", "write": "write_property"},
-        left=2,
+        guard="BACNET_WRITES_ENABLED",
+        left=0,
     ),
     Launch(
         example="industriagents-ethernetip-mcp",
         protocol="ethernetip",
         command=(".venv/bin/ethernetip-mcp",),
-        env={"ENIP_HOST": "{host}", "ENIP_PORT": "{port}", "ENIP_WRITES_ENABLED": "true"},
+        env={"ENIP_HOST": "{host}", "ENIP_PORT": "{port}"},
         proven={"ping": "get_plc_info", "read_tag": "read_tags", "read_array": "read_tags", "write_tag": "write_tags"},
-        left=2,
+        guard="ENIP_WRITES_ENABLED",
+        left=0,
     ),
     Launch(
         example="industriagents-dnp3-mcp",
         protocol="dnp3",
         command=(".venv/bin/dnp3-mcp",),
-        env={"DNP3_HOST": "{host}", "DNP3_PORT": "{port}", "DNP3_WRITES_ENABLED": "true"},
+        env={"DNP3_HOST": "{host}", "DNP3_PORT": "{port}"},
         proven={"read_binary": "read_inputs", "read_analog": "read_inputs", "write_binary": "control_binary_output"},
-        left=2,
+        guard="DNP3_WRITES_ENABLED",
+        left=0,
     ),
     Launch(
         example="hue-go-mcp",
@@ -234,7 +244,7 @@ LAUNCHES = (
         env={"MQTT_BROKER": "{host}", "MQTT_PORT": "{port}", "Z2M_DEVICE": "lamp"},
         proven={},
         commands=("set_power", "set_brightness", "set_color_rgb", "set_color_temp"),
-        left=5,
+        left=4,
     ),
     Launch(
         example="labmcp-modbus",
@@ -247,6 +257,6 @@ LAUNCHES = (
             "read_discrete_inputs": "read_discrete_inputs",
             "write_holding": "write_register",
         },
-        left=2,
+        left=1,
     ),
 )

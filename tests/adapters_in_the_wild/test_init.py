@@ -168,7 +168,9 @@ def test_what_init_proves_is_right_and_nothing_but_the_mock_is_touched(
     launch: Launch, done: Done, plants: list[AtUsualPort]
 ) -> None:
     assert done.process.returncode == 0, done.process.stdout + done.process.stderr
-    assert done.told("proven") == launch.proven, f"{done.process.stdout}\n{done.file}"
+    told = done.told("proven")
+    assert told.pop("guard", None) == launch.guard, done.process.stdout
+    assert told == launch.proven, f"{done.process.stdout}\n{done.file}"
     assert done.told("asked, but not read") == launch.unfilled, done.process.stdout
     assert done.process.stdout.count("\n  - ") == launch.left, done.process.stdout
     assert done.adapter is not None

@@ -109,6 +109,16 @@ def test_an_endpoint_for_every_call_is_put_in() -> None:
     assert (guess.arguments["host"], guess.arguments["port"]) == ("{host}", "{port:int}")
 
 
+def test_the_one_argument_that_is_left_is_tried_for_the_one_input_that_is_left() -> None:
+    (read,) = guesses("modbus", "read_holding", {"read_register": tool("address", "span")})
+    assert [one.arguments for one in read.variations()] == [
+        {"address": "$address"},
+        {"address": "$address", "span": "$count"},
+    ]
+    (two,) = guesses("modbus", "read_holding", {"read_register": tool("address", "span pause")})
+    assert [one.arguments for one in two.variations()] == [{"address": "$address"}]
+
+
 def test_arguments_whose_names_say_nothing_are_tried_in_each_order() -> None:
     (read,) = guesses("modbus", "read_holding", {"get_word": tool("number how_many", "slave_id")})
     told = [{name: one.arguments[name] for name in ("number", "how_many")} for one in read.variations()]

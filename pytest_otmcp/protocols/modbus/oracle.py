@@ -106,7 +106,8 @@ def within_limits(entries: Entries) -> list[Finding]:
             message = (
                 f"a read by function {request['function']} should ask for 1 to {limit} values, one asked for {quantity}"
             )
-            return [Finding(code="over_limit", message=message, requirement="RD-007")]
+            shown = _WITNESS.seen([request])
+            return [Finding(code="over_limit", message=message, requirement="RD-007", evidence=shown)]
     return []
 
 

@@ -73,7 +73,7 @@ class MqttConversation:
         except MalformedError as error:
             # A CONNECT or AUTH may hold a credential.
             shown = frame[:1] if kind in ("CONNECT", "AUTH") else frame
-            malformed = {"client_id": self.client_id, "packet": kind, "reason": str(error), "bytes": shown.hex()}
+            malformed = {"client_id": self.client_id, "reason": str(error), "bytes": shown.hex()}
             return [Message(direction=direction, kind="malformed", fields=malformed)]
         if isinstance(packet, Connect):
             self._level, self.client_id = packet.protocol_level, packet.client_id

@@ -44,7 +44,7 @@ class MqttEntry(JournalEntry, total=False):
         clean_start: of a CONNECT.
         will_sent: the broker published this message as a client's will.
         reason: why a connection ended, or why a packet is malformed.
-        packet: of a malformed packet: its kind, or None when not even its kind could be read.
+        bytes: of a malformed packet: its beginning, in hexadecimal digits.
         count: of a BURST: how many messages were sent on this connection; of the kit's own, how many it published.
     """
 
@@ -61,7 +61,7 @@ class MqttEntry(JournalEntry, total=False):
     clean_start: bool
     will_sent: bool
     reason: str
-    packet: str | None
+    bytes: str
     count: int
 
 

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from ...core.finding import Finding
+from ...wire.mqtt.packets import PacketType
 from ...wire.mqtt.sparkplug import NAMESPACE, parse_topic
 from ..journal import Entries, JournalEntry
 from ..oracle import Witness, requests
@@ -98,7 +99,8 @@ class Subscriptions(SessionOracle):
         if qos in codes or (qos is None and any(code <= _HIGHEST_QOS for code in codes)):
             return []
         if codes:
-            problem = f"it answered with reason code {codes[0]:#04x}"
+            refused = [code for code in codes if code > _HIGHEST_QOS]
+            problem = f"it answered with reason code {refused[0]:#04x}" if refused else f"it has granted QoS {codes[0]}"
         elif self._asked:
             problem = f"it saw SUBSCRIBE for {sorted(map(list, self._asked))} without that being granted"
         else:
@@ -441,8 +443,15 @@ def _packets(entries: Entries, kind: str) -> list[MqttEntry]:
     return [
         entry
         for entry in adapter_packets(entries, None, "in")
-        if entry["kind"] == kind or (entry["kind"] == "malformed" and entry.get("packet") in (None, kind))
+        if entry["kind"] == kind or (entry["kind"] == "malformed" and _begun(entry) in (None, kind))
     ]
+
+
+def _begun(malformed: MqttEntry) -> str | None:
+    """Return the type that the first byte of a malformed packet says; None where none came, or one that is none."""
+    first = bytes.fromhex(malformed.get("bytes", ""))[:1]
+    kinds = {kind.value: kind.name for kind in PacketType}
+    return kinds.get(first[0] >> 4) if first else None
 
 
 def _unexpected(kind: str, packets: FirstPackets, requirement: str) -> list[Finding]:
