@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any
@@ -66,6 +67,10 @@ def _refuse_surrogates(value: object) -> None:
             _refuse_surrogates(member)
 
 
+_ALL_WHOLE = 2.0**53
+_DIGITS = re.compile(r"-?[0-9]{1,400}")
+
+
 class Wide(int):
     """A whole number of a type of 64 bits: in JSON its decimal digits are as good (RFC 7493, section 2.2; OPC 10000-6, section 5.4.2.3)."""
 
@@ -73,11 +78,14 @@ class Wide(int):
 
 
 def same_json(one: object, other: object) -> bool:
-    """Tell whether two values are equal as JSON: ``1`` equals ``1.0``, but ``true`` is not ``1``. The first may be :class:`Wide`."""
+    """Tell whether two values are equal as JSON: ``1`` equals ``1.0``, but ``true`` is not ``1``. The first may be :class:`Wide`; of a float so
+    large that it is whole all digits are as good, which is how JavaScript writes it into a text."""
     if isinstance(one, bool) or isinstance(other, bool):
         return one is other
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(same_json(one[name], other[name]) for name in one)
     if isinstance(one, list | tuple) and isinstance(other, list | tuple):
         return len(one) == len(other) and all(map(same_json, one, other))
+    if isinstance(one, float) and isinstance(other, str):
+        return abs(one) >= _ALL_WHOLE and _DIGITS.fullmatch(other) is not None and float(other) == one
     return bool(one == other) or (isinstance(one, Wide) and other == str(one))

@@ -14,7 +14,7 @@ from ..protocols.protocol import GUARD, Operation
 from ..protocols.registry import protocols
 from ..subject.answers import interpret, read_answer
 from ..subject.command import Draw
-from ..subject.model import Answering
+from ..subject.model import Answering, placeholders
 from .effects import Effect
 from .evidence import CONNECT_FAILED, CONNECTION_LOST, failure_rules, known_errors, prose_rule
 from .proposal import Proposal
@@ -30,6 +30,7 @@ _LONG_START_S = 6.0
 """A start that took longer may take longer than the default of 30 where several start at once."""
 
 _WAITS = "receives by a call that waits"
+_NO_ARGUMENT = "its tool has no argument for it"
 _FROM_MEMORY = "otmcp init saw no status that the device has a part in"
 _NO_TOOL, _NO_SWITCH = "otmcp init found no tool for it", "otmcp init does not know how writes are disabled"
 """Reasons for what is unclaimed; those of what was not found say who has looked."""
@@ -237,6 +238,7 @@ def _unclaimed(draft: Draft) -> list[str]:
     if draft.switch is None:
         lines += ["# The launch with writes disabled is not known yet:", f"{GUARD} = {_value(_NO_SWITCH)}"]
     for operation, asked in protocols()[draft.protocol].operations.items():
+        lines += _without_argument(draft, operation, asked)
         if operation in draft.spared or (draft.commands and asked.writes):
             # It stands above; or the named commands say how the adapter writes.
             continue
@@ -251,6 +253,19 @@ def _unclaimed(draft: Draft) -> list[str]:
                 f"{operation} = {_value(_NO_TOOL)}",
             ]
     return ["", f"[adapter.{draft.protocol}.unclaimed]", *lines]
+
+
+def _without_argument(draft: Draft, operation: str, asked: Operation) -> list[str]:
+    """Return the optional inputs for which the tool of a proven operation has no argument."""
+    proposal = draft.proposals.get(operation)
+    if proposal is None or not proposal.proven:
+        return []
+    given = placeholders(proposal.guess.arguments)
+    return [
+        f"{_key(f'{operation}.{name}')} = {_value(_NO_ARGUMENT)}"
+        for name in asked.optional
+        if name in asked.inputs and name not in given
+    ]
 
 
 def _skeleton(asked: Operation) -> str:

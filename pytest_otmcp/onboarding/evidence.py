@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..core.instants import same_instant
-from ..subject.answers import extract, interpret, read_answer
+from ..subject.answers import extract, interpret, literal, read_answer
 from ..subject.bindings import output_rule
 from ..subject.model import Answering, OutcomeRule, OutputRule
 
@@ -33,7 +33,10 @@ __all__ = [
 ]
 
 _LOST = r"connection (was )?(lost|closed|reset|aborted)|broken pipe"
-_NOT_MADE = r"connection refused(?!: [a-z])|connect call failed|unreachable|(failed to|unable to|could not|cannot) (connect|reach)"
+_NOT_MADE = (
+    r"connection refused(?!: [a-z])|\bECONNREFUSED\b|connect call failed|unreachable|(failed to|unable to|could not|cannot) (connect|reach)"
+    r"|connection (could not|cannot|can't) be (established|made)"
+)
 """What a connection that broke, and one that could not be made, is called. "Refused: not authorised" is a broker's answer on a connection
 that was made; "offline" and "not connected" are said of both."""
 
@@ -143,6 +146,8 @@ def same_value(found: object, expected: object) -> bool:
 def _rules(document: object, expected: object, told: Mapping[str, object]) -> Iterator[dict[str, Any]]:
     if isinstance(document, str):
         yield from _in_text(document, expected)
+        if (inner := _held(document)) is not None:
+            yield from ({**_IN_BRACKETS, "then": place} for place, _ in _places(inner, "", told) if place)
         return
     for path, value in _places(document, "", told):
         yield {"path": path}
@@ -162,6 +167,17 @@ def _rules(document: object, expected: object, told: Mapping[str, object]) -> It
                 )
                 continue
             yield from ({"path": path, **rule} for rule in _in_text(value, expected))
+
+
+_IN_BRACKETS = {"regex": r"(?s)^[^\[{]*([\[{].*[\]}])\W*$", "as": "literal"}
+"""Rule for a list or an object, in JSON or in Python, behind some words."""
+
+
+def _held(text: str) -> object | None:
+    """Return the list or object that a text has behind its first words; None where it has none."""
+    found = re.match(_IN_BRACKETS["regex"], text)
+    value = None if found is None else literal(found[1])
+    return value if isinstance(value, dict | list) else None
 
 
 def _places(value: object, path: str, told: Mapping[str, object] | None = None) -> Iterator[tuple[str, object]]:
@@ -241,7 +257,7 @@ def _before(text: str) -> Iterator[str]:
 
     The blanks are as many as there are, because a text may begin with some, and at last as many as there may be.
     """
-    word = re.search(r"[A-Za-z_]+\W*$", text)
+    word = re.search(r"[^\W\d]+\W*$", text)
     sign = re.search(r"[^\w\s]\s*$", text)
     exact = ["" if word is None else _escaped(word[0]), *([] if sign is None else [f"^.*{_escaped(sign[0])}"])]
     yield from exact
@@ -266,14 +282,16 @@ def lists_in(
     Args:
         told: the inputs as the tool was told them.
     """
-    for form in ("structured", "json", "texts"):
+    for form in ("structured", "json", "texts", "text"):
         document = read_answer(message, form)[0]
-        if document is None:
+        within, at = (_IN_BRACKETS, "then") if isinstance(document, str) else (dict[str, Any](), "path")
+        searched = _held(document) if isinstance(document, str) else document
+        if searched is None:
             continue
-        for path, _ in _places(document, "", told):
-            whole = {"path": path}, {"path": path, "strip": prefix}
+        for path, _ in _places(searched, "", told):
+            whole: tuple[dict[str, Any], ...] = {**within, at: path}, {**within, at: path, "strip": prefix}
             # A list of nodes may begin with the node that was asked for.
-            rest = [{**rule, "path": path.replace("[]", "[1:]", 1)} for rule in whole if "[]" in path]
+            rest = [{**rule, at: path.replace("[]", "[1:]", 1)} for rule in whole if "[]" in path]
             for rule in (*whole, *rest):
                 value = Sample(message=message, expected=None, told=told or {}).read(form, rule)
                 if isinstance(value, list) and value and all(isinstance(entry, str) for entry in value):

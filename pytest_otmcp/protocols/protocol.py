@@ -289,6 +289,10 @@ def _state_changing(entries: Entries) -> list[JournalEntry]:
     return [entry for entry in entries if entry["state_changing"]]
 
 
+def _one(request: JournalEntry) -> int:
+    return 1
+
+
 def _assumed(request: JournalEntry, answer: JournalEntry | None) -> bool:
     return True
 
@@ -336,6 +340,7 @@ class OtProtocol:
             asked for nothing.
         changes: returns the requests among entries that may change the plant, each once: what a client of the protocol delivers
             again, and marks so, is the same request.
+        parts: how many of the writes for which one call may ask together are in a state-changing request.
         carried_out: tells whether the device did what a state-changing request asked for, from the request and its answer, which
             is None as long as there is none; None if that cannot be told without the answer.
         describe: describes one journal entry in a few words, for findings and the report.
@@ -389,6 +394,7 @@ class OtProtocol:
     recognise: re.Pattern[str]
     colour: Colour
     changes: Callable[[Entries], Sequence[JournalEntry]] = _state_changing
+    parts: Callable[[JournalEntry], int] = _one
     carried_out: Callable[[JournalEntry, JournalEntry | None], bool | None] = _assumed
     again: Callable[[Entries, Entries], str] = _nothing_to_say
     events: Collection[str] = ()

@@ -25,6 +25,7 @@ __all__ = [
     "Answer",
     "extract",
     "interpret",
+    "literal",
     "read_answer",
     "synthesised",
     "synthesised_from_outputs",
@@ -267,7 +268,7 @@ def _exact(value: Any) -> Any:
     return str(value) if large else value
 
 
-def _literal(text: str) -> Any:
+def literal(text: str) -> Any:
     """Return the value that a text is a literal of, in JSON or in Python; what is none is the text itself."""
     bare = text.strip()
     try:
@@ -304,7 +305,7 @@ def _converted(rule: OutputRule, value: Any) -> Any:
         case "python":
             return ast.literal_eval(value)
         case "literal":
-            return _literal(value) if isinstance(value, str) else value
+            return literal(value) if isinstance(value, str) else value
         case "hex":
             return int(value, 16)
         case "bytes":

@@ -211,7 +211,7 @@ def _explained(at: Provable, failed: Sequence[_Attempt], *, known: bool) -> str:
         )
     elif any(attempt.reached for attempt in failed):
         reply = next(attempt for attempt in failed if attempt.reached).reply
-        problem = f"nothing shows that the adapter talks to {where} alone: the mock saw {reply.label}, "
+        problem = f"nothing shows that the adapter talks to {where} alone: the mock saw requests during {reply.label}, "
         problem += (
             "but the answer did not bring back the random value that was set there"
             if reply.success

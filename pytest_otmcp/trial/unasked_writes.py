@@ -63,7 +63,7 @@ def unasked_writes(
         # What comes before the next call may have been on its way when the call was cancelled.
         cancelled = None if owner is not None else _cancelled(windows[:begun], left)
         if owner is not None:
-            left[id(owner)] -= 1
+            left[id(owner)] = max(0, left[id(owner)] - max(1, protocol.parts(entry)))
             asked_for.add(entry, answers[entry["seq"]], label=owner.reply.label, item=item)
         elif cancelled is not None:
             left[id(cancelled)] -= 1
@@ -101,8 +101,10 @@ def _asked(call: Judged, protocol: OtProtocol) -> int:
 
 
 def _effects(call: Judged) -> int:
-    then = call.inputs.get(THEN, ())
-    return 1 + len(then if isinstance(then, list) else ())
+    """Return how many writes a call asks for: of several targets, each with its value, one for each."""
+    then, items = call.inputs.get(THEN, ()), call.inputs.get("items", ())
+    targets = len(items) if isinstance(items, list) else 0
+    return max(1, targets) + len(then if isinstance(then, list) else ())
 
 
 def _nothing_sent(call: Judged) -> bool:

@@ -77,7 +77,7 @@ class WriteGate(ABC):
             return
         if cursor.refused is not None:
             item, problem = cursor.refused
-            self._refuse(f"as {item}: {problem}", cause=item)
+            self._refuse(f"as {item}: {problem}", cause=item, known=cursor.preferred is not None)
         if self._ledger.at_real:
             try:
                 operation, problem = await prove_by_reading(self)
@@ -91,15 +91,22 @@ class WriteGate(ABC):
             operation, problem = await prove(self, rng, preferred=cursor.preferred, time_scale=self._ledger.time_scale)
         if operation is None:
             cursor.refused = (self._ledger.item, problem)
-            self._refuse(problem)
+            self._refuse(problem, known=cursor.preferred is not None)
         cursor.proven = cursor.preferred = operation
 
     def doubt(self) -> None:
         """Have the session proven again before the next write: with a connection an adapter may lose what it has heard of the device."""
         self._cursor.proven = None
 
-    def _refuse(self, problem: str, cause: str | None = None) -> None:
-        self._ledger.refused = Finding(code="not_proven", message=f"{self.protocol}: {problem}", cause=cause)
+    def _refuse(self, problem: str, cause: str | None = None, *, known: bool = False) -> None:
+        """End the item, because nothing may be written.
+
+        Args:
+            cause: the item that found it out.
+            known: an earlier session of the adapter was proven.
+        """
+        code = "not_proven_again" if known else "not_proven"
+        self._ledger.refused = Finding(code=code, message=f"{self.protocol}: {problem}", cause=cause)
         raise EndedError
 
     # -- around each call ---------------------------------------------------------------------------------
@@ -117,7 +124,9 @@ class WriteGate(ABC):
             await self._player.check_away()
             problem = await why_reachable(self, time_scale=self._ledger.time_scale)
             if problem is not None:
-                self._refuse(problem)
+                message = f"{self.protocol}: {problem}"
+                self._ledger.refused = Finding(code="answers_when_gone", message=message, requirement="REC-002")
+                raise EndedError
             await self._player.check_away()
         return True
 

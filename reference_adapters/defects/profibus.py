@@ -197,7 +197,7 @@ DEFECTS = (
         "The inputs of a slave that does not answer are zero.",
         succeeding(_READ, code="timeout", answer=_zeros),
         "FP1 SP4",
-        "ERR-002 REC-002 not_proven",
+        "ERR-002 REC-002",
     ),
     defect(
         "MU-45p",

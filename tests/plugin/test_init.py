@@ -620,7 +620,7 @@ result = {{ values = "registers" }}
     (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
     done = otmcp("doctor")
     assert done.returncode == 1
-    assert "the mock saw read_holding_registers(address=" in done.stdout
+    assert "the mock saw requests during read_holding_registers(address=" in done.stdout
     assert "which failed (" in done.stdout
     assert "Invalid tools/call result" in done.stdout
 

@@ -137,6 +137,10 @@ def test_random_values_are_read_as_they_were_written() -> None:
 def test_equality_is_that_of_json() -> None:
     assert same_json({"a": [1, 2.0]}, {"a": [1.0, 2]})
     assert not same_json(True, 1)
+    # As JavaScript writes a double into a text.
+    assert same_json(8.078217585465754e16, "80782175854657540")
+    assert not same_json(8.078217585465754e16, "80782175854657600")
+    assert not same_json(7.0, "7")
     assert not same_json([0], [False])
     assert not same_json({"a": None}, {})
     assert not same_json([1], [1, 1])

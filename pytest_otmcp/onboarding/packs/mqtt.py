@@ -272,9 +272,12 @@ async def _command(experimenter: Experimenter, guess: Guess, inputs: dict[str, A
 
 
 def _role(proposals: Mapping[str, Proposal]) -> Mapping[str, tuple[str, str]]:
-    """Return the role of an adapter that commands other edge nodes, or knows them, and publishes as none itself."""
-    if proposals.keys() & {"device_birth", "device_data"} or not proposals.keys() & _OF_HOSTS:
+    """Return the role of an adapter that commands other edge nodes, or knows them, and publishes as none itself, and that of one that does
+    neither."""
+    if proposals.keys() & {"device_birth", "device_data"}:
         return {}
+    if not proposals.keys() & _OF_HOSTS:
+        return {"sparkplug": ("none", "No tool is called like one for Sparkplug B: not proven, only proposed.")}
     names = ", ".join(sorted({proposals[name].guess.tool for name in proposals.keys() & _OF_HOSTS}))
     return {"sparkplug": ("host", f"It has tools of a Sparkplug host application, and none of an edge node: {names}.")}
 
@@ -345,6 +348,7 @@ PACK = Pack(
         "filter": "topic topic_filter filter pattern topics topic_pattern response_topic",
         "seconds": "seconds timeout duration wait wait_seconds timeout_seconds duration_seconds timeout_s max_wait",
         "qos": "qos quality_of_service",
+        "retain": "retain retained retain_flag",
         "topic": "topic topic_name",
         "payload": "payload message data content body value",
         "device": "device_id device device_name",

@@ -8,7 +8,7 @@ from ...wire.ethernetip.frames import frame_length
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
 from .decoder import EthernetIpConversation
-from .entries import carried_out, changes, describe, title
+from .entries import carried_out, changes, describe, title, writes_in
 from .exercise import EXERCISE
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
@@ -26,6 +26,7 @@ PROTOCOL = OtProtocol(
     probes={"missing_tag": "NoSuchTag"},
     framing=Framing(frame_length=frame_length, conversation=EthernetIpConversation),
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
+    parts=writes_in,
     changes=changes,
     carried_out=carried_out,
     describe=describe,

@@ -18,6 +18,7 @@ __all__ = [
     "describe",
     "tag_of",
     "title",
+    "writes_in",
 ]
 
 TYPES = {
@@ -187,3 +188,8 @@ def changes(entries: Entries) -> Sequence[JournalEntry]:
         if entry["state_changing"]:
             found.append(entry)
     return found
+
+
+def writes_in(entry: JournalEntry) -> int:
+    """Return how many services of a request write."""
+    return sum(item["asks"] in ("write", "modify") for item in as_ethernetip(entry).get("items", ()))

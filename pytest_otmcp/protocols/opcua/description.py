@@ -8,7 +8,7 @@ from ...wire.opcua import chunk_length
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import StateChanges
 from .decoder import OpcUaConversation
-from .entries import carried_out, describe
+from .entries import carried_out, describe, node_ids
 from .exercise import EXERCISE
 from .external import EXTERNAL
 from .field import FIELD
@@ -28,6 +28,7 @@ PROTOCOL = OtProtocol(
     probes={"missing_node": "ns=2;i=99999"},
     framing=Framing(frame_length=chunk_length, conversation=OpcUaConversation),
     unsolicited=lambda entries, declared: no_state_changing_service(entries),
+    parts=lambda entry: len(node_ids(entry)) if entry["kind"] == "Write" else 1,
     carried_out=carried_out,
     describe=describe,
     facts=facts,

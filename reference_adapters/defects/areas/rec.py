@@ -104,7 +104,7 @@ DEFECTS: tuple[Defect, ...] = (
         "While the broker is gone, its last status is told, as if it was still there.",
         answers_from_memory_when_gone("get_broker_info"),
         "REC-002",
-        "REC-002 not_proven",
+        "REC-002",
     ),
     defect(
         "MU-65b",
