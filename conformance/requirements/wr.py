@@ -479,7 +479,7 @@ async def _refused_then_written(run: Repetition, at: Rig, guarded: Rig) -> None:
         await _prepare(at, asked)
         reply = await at.call(asked.operation, **asked.inputs)
         run.succeeds(reply, requirement="WR-001")
-        run.witnessed(_one_change(at, reply, await at.journal()))
+        run.witnessed(_one_change(at, asked.inputs, reply, await at.journal()))
     await _sequences_refused_then_written(run, at, guarded)
 
 
@@ -497,9 +497,12 @@ async def _guarded(run: Repetition, guarded: Rig, operation: str, inputs: Mappin
     run.witnessed(nothing_arrived(guarded, since(reply, await guarded.journal()), requirement="WR-004"))
 
 
-def _one_change(at: Rig, reply: Reply, entries: Entries) -> list[Finding]:
-    found = protocols()[at.protocol].changes(reply.during(entries))
-    if len(found) == 1 or not reply.success:
+def _one_change(at: Rig, inputs: Mapping[str, Any], reply: Reply, entries: Entries) -> list[Finding]:
+    protocol, items = protocols()[at.protocol], inputs.get("items")
+    found = protocol.changes(reply.during(entries))
+    # Of several targets each may have a request of its own.
+    parts, targets = sum(map(protocol.parts, found)), len(items) if isinstance(items, list) else 1
+    if len(found) == 1 or parts == targets or not reply.success:
         return []
     return [
         Finding(
@@ -540,7 +543,7 @@ async def the_opcua_guard_covers_every_write(run: Repetition, opcua: Rig, opcua_
         await _guarded(run, opcua_ro, "call_method", call)
         reply = await opcua.call("call_method", **call)
         run.succeeds(reply, requirement="OUA-001")
-        run.witnessed(_one_change(opcua, reply, await opcua.journal()))
+        run.witnessed(_one_change(opcua, call, reply, await opcua.journal()))
     await _session_wrote_nothing(run, opcua_ro)
 
 

@@ -37,7 +37,7 @@ _FAILURES_IN_A_ROW = 2
 """Calls that must fail during an outage before something is written: an adapter may try another device after the first one."""
 
 _ADDRESS = re.compile(
-    r"[a-z][a-z0-9+.-]{0,30}://(?:[\w.\[\]:-]+|/[\w./-]+)|\b(?:\d{1,3}\.){3}\d{1,3}:\d{1,5}\b|\blocalhost:\d{1,5}\b"
+    r"(?!https?:)\b[a-z][a-z0-9+.-]{0,30}://(?:[\w.\[\]:-]+|/[\w./-]+)|\b(?:\d{1,3}\.){3}\d{1,3}:\d{1,5}\b|\blocalhost:\d{1,5}\b"
 )
 
 

@@ -71,6 +71,7 @@ NEIGHBOURS = [
     ("ethercat/texts-end-at-zero", "ENC-006.ethercat"),
     ("ethercat/inputs-by-process-data", "RD-001.ethercat RD-004.ethercat CON-001.ethercat"),
     ("opcua/looks-before-writing", "O3 OUA-005.opcua WR-001.opcua WR-002.opcua"),
+    ("opcua/writes-one-by-one", "WR-001.opcua WR-002.opcua WR-006.opcua CON-004.opcua"),
 ]
 """Honest adapters, each with the check that it is made for."""
 

@@ -200,6 +200,25 @@ def reads_one_by_one(server: AdapterServer) -> None:
     other_reads(singly)
 
 
+@choice(
+    "writes several nodes by one request each",
+    "one Write for each of the nodes that the call names is what was asked for",
+)
+def writes_one_by_one(server: AdapterServer) -> None:
+    genuine = Services.write
+
+    async def singly(services: Services, nodes: Sequence[ua.NodeId], values: Sequence[ua.Variant]) -> Any:
+        # Whether it may write them all is asked before the first.
+        services._call.changes(*((node.to_string(), value.Value) for node, value in zip(nodes, values, strict=True)))
+        return [
+            status
+            for node, value in zip(nodes, values, strict=True)
+            for status in await genuine(services, [node], [value])
+        ]
+
+    Services.write = singly
+
+
 @choice("reads other nodes with every node", "nobody forbids to read more")
 def reads_more_than_asked(server: AdapterServer) -> None:
     async def more(services: Services, nodes: Sequence[ua.NodeId], genuine: Any) -> Any:
