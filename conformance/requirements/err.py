@@ -404,8 +404,18 @@ async def validation_comes_first(run: Repetition, at: Rig) -> None:
         gone = await wrongly_asked(run, at)
         await at.start_device()
         if gone is not None and there.success is False:
-            run.fails(gone, str(there.error_code), outcome=NOTHING_SENT, requirement="ERR-007")
+            _is_as_invalid(run, gone, there)
         await answers_again(run, at)
+
+
+def _is_as_invalid(run: Repetition, gone: Reply, there: Reply) -> None:
+    if there.unclassified and gone.success is False and not gone.unclassified:
+        # What the adapter calls it with the device there is in no code.
+        problem = f"without the device the same call is {gone.error_code!r}, with it the failure has other words"
+        finding = Finding(code="code_differs", message=f"{gone.label}: {problem}", requirement="ERR-007")
+        run.judge(gone, [finding])
+        return
+    run.fails(gone, str(there.error_code), outcome=NOTHING_SENT, requirement="ERR-007")
 
 
 # -- several items ----------------------------------------------------------------------------------------------------

@@ -47,6 +47,8 @@ _request: ContextVar[list[bytes]] = ContextVar("request")
 """Chunks of the message that is processed."""
 
 _WITHOUT_SESSION = frozenset({"CreateSession", "GetEndpoints", "FindServers"})
+_OF_ANY_SESSION = frozenset({"ActivateSession", "CloseSession", "RegisterServer", "RegisterServer2"})
+"""Services that the library itself looks after where a connection has no session."""
 
 
 class _Processor(UaProcessor):  # type: ignore[misc]
@@ -121,7 +123,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
     async def _processed(self, seqhdr: Any, body: Buffer, chunks: list[bytes]) -> bool:
         _request.set(chunks)
         try:
-            return bool(await super().process_message(seqhdr, body))
+            return await super().process_message(seqhdr, body) is not False
         finally:
             # What the library cannot read has arrived all the same.
             self._exchange("", seqhdr.RequestId, chunks).asked()
@@ -129,8 +131,10 @@ class _Processor(UaProcessor):  # type: ignore[misc]
     async def _process_message(self, typeid: ua.NodeId, requesthdr: Any, seqhdr: Any, body: Buffer) -> bool:
         service = _SERVICES.get(typeid.Identifier, typeid.to_string())
         exchange = self._exchange(service, seqhdr.RequestId, _request.get())
-        if self.session is not None and self.session.state is SessionState.Closed and service not in _WITHOUT_SESSION:
-            # The library serves a session that is closed.
+        closed = self.session is not None and self.session.state is SessionState.Closed
+        none = self.session is None and service not in _OF_ANY_SESSION
+        if service not in _WITHOUT_SESSION and (closed or none):
+            # The library serves a session that is closed; without one it refuses as to another user, and closes the connection.
             exchange.asked(())
             raise ServiceError(ua.StatusCodes.BadSessionIdInvalid)
         if service not in _WITH_NODES:

@@ -23,7 +23,7 @@ from .plainly import InWords, due, in_words
 
 __all__ = ["Cause", "causes", "extent", "remedy", "rows", "without_cause"]
 
-_ROLE = re.compile(r"^(?:setup|warmup|control): ")
+_ROLE = re.compile(r"^(setup|warmup|control): ")
 _VARIABLE = re.compile(r"""'(?:[^'\\]|\\.){0,1000}'|"(?:[^"\\]|\\.){0,1000}"|\[[^\]]{0,1000}\]|\d+(?:\.\d+)?""")
 """What differs between findings of one fault in two items: values, addresses, texts, counts."""
 
@@ -218,11 +218,13 @@ def _plainest(group: list[_Found]) -> _Found:
 
 def _words(found: _Found) -> InWords | None:
     message, code = _ROLE.sub("", found.finding["message"]), found.finding["code"]
-    evidence = found.finding["evidence"]
+    evidence, role = found.finding["evidence"], _ROLE.match(found.finding["message"])
     if found.repetition is not None:
         sample = next(one for one in found.item["samples"] if one["repetition"] == found.repetition)
         return in_words(sample["calls"], sample["device"], message, code, evidence)
     # Calls around the repetitions have frames where something was wrong.
     calls = [call for part in found.item["around"] for call in part["calls"] if "frames" in call]
+    if role is not None:
+        calls = [call for call in calls if call["role"] == role[1]] or calls
     entries = [entry for part in found.item["around"] for entry in part["device"]]
     return in_words(calls, entries, message, code, evidence)

@@ -20,6 +20,8 @@ __all__ = ["InWords", "due", "in_words"]
 
 _LETTERS = 160
 _NO_REPLY = "no_reply"
+_OF_NO_CALL = {"cannot_start", "start_timeout", "does_not_exit", "stdout_noise", "leak", "connections_left"}
+"""Codes of findings about a process or a session: no call of it shows them."""
 _LABEL = 160
 """Letters of a call's name at the beginning of a finding."""
 _SHOWN = 3
@@ -73,7 +75,7 @@ def in_words(
 ) -> InWords | None:
     """Tell the call in which the fault shows, as far as a record tells: the one that a finding names, else of those during which came what
     it shows, or that gave the values in it, one that did not go as required, else the last one that changed the device, else the first
-    of the task; None without calls.
+    of the task; None without calls, and where the finding is about no call.
 
     Args:
         message: the finding, without the role that it may begin with.
@@ -81,7 +83,7 @@ def in_words(
             not that of an equal call at the same time.
         evidence: what a finding about the device shows of it.
     """
-    if not calls:
+    if not calls or code in _OF_NO_CALL:
         return None
     named = [call for call in calls if message.startswith(f"{_label(call)}: ")]
     known = finding_codes().get(code)

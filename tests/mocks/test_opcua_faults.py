@@ -365,6 +365,22 @@ async def test_sessions_are_closed_and_their_connections_stay(plant: MockProgram
     assert (await read(await connect(), "Temperature")).Value.Value == 25.0
 
 
+async def test_a_request_before_there_is_a_session_is_refused_and_the_connection_stays(plant: MockProgram) -> None:
+    client = Client(f"opc.tcp://{plant.host}:{plant.port}", timeout=PATIENCE_S)
+    await client.connect_socket()
+    try:
+        await client.send_hello()
+        await client.open_secure_channel()
+        with pytest.raises(ua.uaerrors.BadSessionIdInvalid):
+            await read(client, "Temperature")
+        await client.create_session()
+        await client.activate_session()
+        assert (await read(client, "Temperature")).Value.Value == 25.0
+        await client.close_session()
+    finally:
+        client.disconnect_socket()
+
+
 async def test_an_answer_says_how_many_continuation_points_are_open(plant: MockProgram, client: Client) -> None:
     await plant.control.poke(limits={"references_per_node": 4})
     since = await plant.control.next()
