@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import SubjectError, UsageError
 from ..core.text import counted
-from ..protocols.journal import judged
+from ..protocols.journal import ADAPTER
 from ..protocols.registry import protocols
 from ..subject.claims import Claims
 from . import add_json, show, show_json, tell
@@ -246,7 +246,7 @@ async def _examine(adapter: Adapter, variant: str, isolation: Isolation, say: Ca
             return False
         if not adapter.operations:
             # Nobody has said how it is asked, so a connection is all that can be looked for, and none may be due yet.
-            connected = bool(judged((await device.journal(0)).entries))
+            connected = any(entry["origin"] == ADAPTER for entry in (await device.journal(0)).entries)
             say(f"{variant}: the device {'has seen a connection' if connected else 'has not been asked anything yet'}")
             return _keeps_secrets(under_test, variant, say)
         if variant == READ_WRITE and (unknown := unbound(adapter, session.tools)):

@@ -375,7 +375,7 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
             f"# {operation} = {_skeleton(asked)}",
         ]
     guess = proposal.guess
-    body = [f"tool = {_value(guess.tool)}", f"arguments = {_value(dict(guess.arguments))}"]
+    body = [f"tool = {_value(guess.tool)}", f"arguments = {_value({**guess.arguments, **proposal.by_input})}"]
     if proposal.blocking:
         body.append("blocking = true")
     if proposal.offset:

@@ -7,11 +7,12 @@ import random
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import replace
 
 from ..core.errors import NoBindingError
 from ..core.strict_json import parse_strict
 from ..plant.mock_device import MockDevice
-from ..protocols.exercise import Asked, Exercise
+from ..protocols.exercise import Asked
 from ..protocols.journal import judged
 from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
@@ -55,6 +56,7 @@ class Experimenter:
         device: the mock device.
         random: source of values that no adapter can know.
         longest_s: how long the longest call took that was answered.
+        offsets: those with which tools were proven, after none.
         results: number of answers that are valid results of tool calls.
         invalid: what other answers were, and how often.
     """
@@ -74,6 +76,7 @@ class Experimenter:
         self.device = device
         self.random: random.Random = random.SystemRandom()
         self.longest_s = 0.0
+        self.offsets: list[dict[str, int]] = [{}]
         self.results = 0
         self.invalid: Counter[str] = Counter()
         self.adapter = adapter
@@ -95,6 +98,8 @@ class Experimenter:
             if not writes and not variation.missing:
                 self._read.append((proposal, experiment))
             tried.append(proposal)
+            if proposal.proven and proposal.offset not in self.offsets:
+                self.offsets.append(proposal.offset)
             if self._merits(proposal) == (True, True, True):
                 break
         chosen = max(tried, key=self._merits, default=None)
@@ -123,6 +128,7 @@ class Experimenter:
         if proposal.proven:
             try:
                 await (self._write_further if self._writing else self._vary)(proposal)
+                await self._give_by_input(proposal, experiment)
                 await self._provoke(proposal)
             except (NotProvenError, NoBindingError) as problem:
                 proposal.caveats.append(f"nothing further was tried: {problem}")
@@ -138,6 +144,17 @@ class Experimenter:
             proposal = await experiment(self, guess)
             self._refute(proposal)
         return proposal
+
+    async def _give_by_input(self, proposal: Proposal, experiment: Experiment) -> None:
+        """Find the arguments that may be left to an input: those without which the tool does the same."""
+        for argument, name in proposal.guess.stand_ins.items():
+            without = {key: value for key, value in proposal.guess.arguments.items() if key != argument}
+            if argument in proposal.guess.arguments:
+                again = await experiment(self, replace(proposal.guess, arguments=without))
+                self._refute(again)
+                if not again.proven:
+                    continue
+            proposal.by_input[argument] = f"${name}"
 
     def _refute(self, proposal: Proposal) -> None:
         """Take back the proof of a call that the device has seen, and whose answer is no answer to it."""
@@ -190,7 +207,7 @@ class Experimenter:
         done, claimed = 0, list[str]()
         for asked in (asked for asked in calls if asked.operation == proposal.guess.operation):
             shown = await self.perform(proposal, asked)
-            if await self._was_done(exercise, asked, shown):
+            if await self.was_done(asked, shown):
                 done += 1
             elif shown.message is None or tells_failure(shown.message):
                 proposal.caveats.append(f"with {_about(shown.told)} the device was not told it; {shown.words}")
@@ -203,9 +220,11 @@ class Experimenter:
             proposal.proven = False
             proposal.evidence.insert(0, f"{proposal.evidence[0]}, but {claimed[0]}")
 
-    async def _was_done(self, exercise: Exercise, asked: Asked, shown: Shown) -> bool:
+    async def was_done(self, asked: Asked, shown: Shown) -> bool:
+        """Tell whether the device was told what a write asked for, or holds it where that shows."""
         if not asked.points:
-            return bool(exercise.done(shown.entries, asked))
+            exercise = protocols()[self.adapter.adapter.protocol].exercise
+            return exercise is not None and bool(exercise.done(shown.entries, asked))
         points = (await self.device.image())["points"]
         return all(same_value(points.get(name), value) for name, value in asked.points.items())
 

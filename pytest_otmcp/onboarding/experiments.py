@@ -8,11 +8,12 @@ from collections.abc import Callable, Mapping
 from ..core.finding import Finding
 from ..protocols.exercise import Asked
 from ..protocols.journal import Entries, Image
+from ..protocols.registry import protocols
 from .experimenter import Experiment, Experimenter
 from .guess import Guess
 from .proposal import Proposal
 
-__all__ = ["reading", "writing"]
+__all__ = ["every_write", "reading", "writing"]
 
 Make = Callable[[random.Random], Asked]
 
@@ -80,5 +81,25 @@ def writing(
         if after is not None:
             await experimenter.device.poke(**after)
         return proposal
+
+    return experiment
+
+
+def every_write(operation: str) -> Experiment:
+    """Return the experiment with a tool that writes what the protocol's exercise has for an operation, with the offsets of other tools."""
+
+    async def experiment(experimenter: Experimenter, guess: Guess) -> Proposal:
+        exercise = protocols()[experimenter.adapter.adapter.protocol].exercise
+        assert exercise is not None
+        assert exercise.every_write is not None
+        asked = next(one for one in exercise.every_write(experimenter.random) if one.operation == operation)
+        shown = []
+        for offset in experimenter.offsets:
+            for poke in asked.pokes:
+                await experimenter.device.poke(**poke)
+            shown.append(await experimenter.call(guess, offset, **asked.inputs))
+            if await experimenter.was_done(asked, shown[-1]):
+                return experimenter.propose(guess, shown[-1], proven=True, offset=offset)
+        return experimenter.propose(guess, shown[0], proven=False)
 
     return experiment

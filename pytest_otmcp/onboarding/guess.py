@@ -24,6 +24,7 @@ class Guess:
         missing: required arguments for which no value is known.
         trials: further arguments, each with values to try.
         optional: arguments that the tool does not require, with values for the case that it does not work without them.
+        stand_ins: arguments that the tool does not require, and that stand for a voluntary input, each with that.
         orders: other ways to give the inputs to the arguments, each a whole template: what names mean, the device decides.
     """
 
@@ -36,6 +37,7 @@ class Guess:
     trials: Mapping[str, tuple[str, ...]]
     optional: Mapping[str, object] = field(default_factory=dict)
     orders: tuple[Mapping[str, object], ...] = ()
+    stand_ins: Mapping[str, str] = field(default_factory=dict)
 
     def variations(self) -> list[Guess]:
         """Return one guess for each combination of the values to try; only this guess when there are none to try.

@@ -337,6 +337,13 @@ def _guess(
         trials=trials,
         optional=optional,
         orders=orders,
+        stand_ins={
+            key: name
+            for name, pattern in pack.stand_ins.items()
+            if name in asked.voluntary_inputs
+            for key in properties(schema)
+            if key not in needed and re.match(pattern, key, re.IGNORECASE)
+        },
     )
 
 

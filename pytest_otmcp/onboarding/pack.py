@@ -59,6 +59,7 @@ class Pack:
         arguments: input of operations to the names that tools have for it, separated by blanks.
         lists: inputs that are lists by themselves.
         constants: pattern of an argument's name, to the value that the mock device wants there.
+        stand_ins: voluntary input to the pattern of the arguments for which there is a constant, and which stand for that input.
         names: names of the protocol that an argument may expect.
         late: a journal entry that may follow the answer to a call, as members and values; None when none does.
         told: None for a request that no named command can have; without it `otmcp init` looks for no named commands.
@@ -74,6 +75,7 @@ class Pack:
     arguments: Mapping[str, str]
     lists: frozenset[str] = frozenset()
     constants: Mapping[str, object] = field(default_factory=dict)
+    stand_ins: Mapping[str, str] = field(default_factory=dict)
     names: tuple[str, ...] = ()
     late: Mapping[str, object] | None = None
     told: Told | None = None

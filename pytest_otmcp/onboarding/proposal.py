@@ -30,6 +30,7 @@ class Proposal:
         provocations: calls that have to fail, each with the error code of the failure, and its inputs.
         failures: answers to calls that had to fail, each with the error code that it should have.
         blocking: the call waits for what it answers.
+        by_input: arguments that the file is to give by an input, where the trials gave a constant or nothing.
         returned: a random value came from the mock device through the tool, or to it.
         whole: False when it is only right as long as there is no tool that does more.
         tried: False when no call was made, because its name and its arguments are all there is to go by.
@@ -49,6 +50,7 @@ class Proposal:
     caveats: list[str] = field(default_factory=list)
     provocations: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
     failures: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
+    by_input: dict[str, str] = field(default_factory=dict)
     blocking: bool = False
     returned: bool = False
     whole: bool = True
@@ -60,7 +62,9 @@ def by_name(guesses: Sequence[Guess]) -> Proposal | None:
     """Return the proposal for the likeliest guess without calling anything; None where there is no guess."""
     if not guesses:
         return None
-    return Proposal(guess=guesses[0], proven=False, tried=False, evidence=["by its name and its arguments; not called"])
+    by_input = {argument: f"${name}" for argument, name in guesses[0].stand_ins.items()}
+    evidence = ["by its name and its arguments; not called"]
+    return Proposal(guess=guesses[0], proven=False, tried=False, evidence=evidence, by_input=by_input)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

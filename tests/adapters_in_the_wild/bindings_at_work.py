@@ -75,6 +75,27 @@ async def writes_a_register(work: Work, operation: str) -> bool:
     return bool(held == 40123 and len(work.changes) == 1)
 
 
+async def writes_several_registers(work: Work, operation: str) -> bool:
+    await work.call(operation, address=7, values=[40123, 7, 61000])
+    points = (await work.device.image())["points"]
+    return [points[f"1/holding_registers/{at}"] for at in (7, 8, 9)] == [40123, 7, 61000]
+
+
+async def writes_coils(work: Work, operation: str) -> bool:
+    asked: dict[str, object] = {"values": [True, False, True]} if operation == "write_coils" else {"value": True}
+    await work.device.poke(unit=1, table="coils", address=6, values=[False, False, True, False, False])
+    await work.call(operation, address=7, **asked)
+    points = (await work.device.image())["points"]
+    held = [points[f"1/coils/{at}"] for at in (6, 7, 8, 9, 10)]
+    return held == [False, True, *([False, True] if operation == "write_coils" else [True, False]), False]
+
+
+async def writes_by_a_mask(work: Work, operation: str) -> bool:
+    await work.device.poke(unit=1, table="holding_registers", address=7, values=[0b1010])
+    await work.call(operation, address=7, and_mask=0b1100, or_mask=0b0101)
+    return bool((await work.device.image())["points"]["1/holding_registers/7"] == 0b1001)
+
+
 async def tells_the_state(work: Work, operation: str) -> bool:
     await work.call(operation)
     with_device = await work.call(operation)
@@ -251,6 +272,10 @@ CHECKS: dict[str, dict[str, Check]] = {
         "read_coils": reads_bits,
         "read_discrete_inputs": reads_bits,
         "write_holding": writes_a_register,
+        "write_registers": writes_several_registers,
+        "write_coil": writes_coils,
+        "write_coils": writes_coils,
+        "mask_write": writes_by_a_mask,
         # At last, here and below: an adapter may not come back from an outage.
         "ping": tells_the_state,
     },

@@ -377,7 +377,8 @@ ENDPOINTS = {
 """How an adapter is told where its device is that is not told host and port."""
 
 PROVEN_ALTHOUGH_VOLUNTARY = {
-    "modbus": {"read_coils", "read_discrete_inputs"},
+    "modbus": {"read_coils", "read_discrete_inputs", "write_registers", "write_coil", "write_coils", "mask_write"},
+    "opcua": {"write_many"},
     "mqtt": {"sparkplug_metrics", "send_node_command", "send_device_command"},
     "profinet": {"read_record", "write_record"},
 }

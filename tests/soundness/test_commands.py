@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from pytest_otmcp.core.matrix import REQUIREMENTS
+from pytest_otmcp.subject import Adapter
 from pytest_otmcp.suite.catalogue import all_tasks
 
 from .conftest import Judge, failing, foreign_subject, passing, requirements, words
@@ -116,6 +119,18 @@ def test_what_a_command_cannot_express_does_not_apply(judge_foreign: Judge) -> N
     assert results["FM2"]["reason"] == (
         "no named command of the subject can express write_holding with address=1, value=70000"
     )
+
+
+def test_what_a_binding_is_not_for_does_not_apply(judge: Judge) -> None:
+    def narrowed(adapter: Adapter) -> Adapter:
+        bound = adapter.operations["read_holding"]
+        assert isinstance(bound, tuple)
+        only = tuple(replace(one, when={"address": [3, 4]}) for one in bound)
+        return replace(adapter, operations={**adapter.operations, "read_holding": only})
+
+    results = judge("modbus", "defective.py", "none", tasks="RD-007.modbus", described=narrowed)
+    assert results["RD-007.modbus"]["status"] == "NOT_APPLICABLE", words(results)
+    assert results["RD-007.modbus"]["reason"].startswith("no binding of the subject is for read_holding with")
 
 
 @pytest.mark.parametrize(

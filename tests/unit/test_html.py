@@ -708,6 +708,36 @@ def test_what_a_finding_about_the_device_shows_is_the_call_that_gave_its_value()
     assert other.asked == 'write_register {"address": 1, "value": 63409}'
 
 
+def test_what_a_finding_shows_of_the_device_is_shown_with_the_call_during_which_it_came() -> None:
+    asked = {"ok": True, "tool": "write_register", "role": "task", "latency_ms": 1.0}
+    other_unit = {**asked, "arguments": {"address": 20, "value": 7}, "sent_ns": 0, "received_ns": 10}
+    good = {**asked, "arguments": {"address": 1, "value": 34}, "sent_ns": 20, "received_ns": 30}
+    entry = {"protocol": "modbus", "kind": "request", "request": True, "state_changing": True, "unit": 1, "function": 6}
+    came = [
+        {**entry, "t_ns": 5, "address": 20, "quantity": 1, "values": [7]},
+        {**entry, "t_ns": 25, "address": 1, "quantity": 1, "values": [34]},
+    ]
+    message, shown = (
+        "the device should have seen no state-changing request, it saw 1",
+        "FC 06 address 20 quantity 1 values [7]",
+    )
+    told = in_words([other_unit, good], came, message, "wrote", shown)
+    assert told is not None
+    assert (told.asked, told.seen) == ('write_register {"address": 20, "value": 7}', (shown,))
+    assert in_words([good], came, "the adapter did not exit", "does_not_exit") is None
+
+
+def test_a_failure_in_words_of_the_adapters_own_is_told_as_one() -> None:
+    envelope = {"success": False, "error": {"message": "Error: no such register", "outcome": "unknown"}}
+    own = {**envelope, "meta": {"synthesised": True}}
+    asked = {"ok": False, "tool": "read", "arguments": {}, "role": "task", "latency_ms": 1.0, "envelope": own}
+    told = [in_words([{**asked, "error_code": code}], []) for code in ("unclassified", "illegal_address")]
+    assert [one.said for one in told if one is not None] == [
+        'a failure, "Error: no such register"',
+        'a failure, "Error: no such register", which the subject file calls illegal_address',
+    ]
+
+
 def test_what_contradicts_an_adapter_is_shown_with_what_it_claimed_and_not_with_the_refusal_of_another_launch() -> None:
     asked = {"ok": True, "tool": "write_register", "arguments": {"value": 1}, "role": "task", "latency_ms": None}
     written, refused = ({**asked, "envelope": {"success": success}} for success in (True, False))

@@ -480,6 +480,20 @@ def test_a_list_of_nodes_may_begin_with_the_node_that_was_asked_for() -> None:
     assert found["[1:].node_id"] == ["ns=2;i=2", "ns=2;i=3"]
 
 
+@pytest.mark.parametrize("shown", ["{'ns=2;s=A': 20.5, 'ns=2;s=B': None}", '{"ns=2;s=A": 20.5, "ns=2;s=B": null}'])
+def test_values_are_found_in_an_object_behind_words(shown: str) -> None:
+    nodes = ["ns=2;s=A", "ns=2;s=B"]
+    found = find([sample(answer(f"Read multiple nodes values: {shown}"), [20.5, None], nodes=nodes)])
+    assert found is not None
+    assert (found.form, found.rule["as"], found.rule["then"]) == ("text", "literal", '"$nodes"')
+
+
+def test_a_list_of_nodes_is_found_behind_words() -> None:
+    message = answer("Children of i=85: [{'node_id': 'ns=2;i=1', 'name': 'A'}, {'node_id': 'ns=2;i=2', 'name': 'B'}]")
+    found = {rule.get("then"): nodes for form, rule, nodes in lists_in(message, "2:") if form == "text"}
+    assert found["[].node_id"] == ["ns=2;i=1", "ns=2;i=2"]
+
+
 @pytest.mark.parametrize(
     ("before", "after", "expected"),
     [
@@ -603,8 +617,12 @@ def test_a_pack_has_hints_for_every_operation_and_names_for_what_is_put_in(proto
     }
 
 
-NAMING_THEIR_TARGET = {"mqtt": {"send_node_command", "send_device_command"}}
-"""Voluntary operations that write, and are told that the mock's own edge node is to do it."""
+NAMING_THEIR_TARGET = {
+    "modbus": {"write_registers", "write_coil", "write_coils", "mask_write"},
+    "mqtt": {"send_node_command", "send_device_command"},
+    "opcua": {"write_many"},
+}
+"""Voluntary operations that write, and are told what: cells, variables, or that the mock's own edge node is to do it."""
 
 
 @pytest.mark.parametrize("protocol", ["modbus", "mqtt", "opcua"])

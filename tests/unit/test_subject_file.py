@@ -161,6 +161,16 @@ def test_one_operation_may_be_several_tools(tmp_path: Path) -> None:
     assert (many.tool, dict(many.when)) == ("read_many", {})
 
 
+def test_a_tool_may_be_for_any_of_several_values(tmp_path: Path) -> None:
+    text = (
+        FOREIGN
+        + '[adapter.modbus.bind.read_typed]\ntool = "read"\nwhen = { type = ["int16", "uint16"] }\nresult = { value = "v" }\n'
+    )
+    (binding,) = bindings(load(tmp_path, text), "modbus", "read_typed")
+    fitting = {kind: binding.fits({"address": 1, "type": kind}) for kind in ("int16", "uint16", "float32")}
+    assert fitting == {"int16": True, "uint16": True, "float32": False}
+
+
 def test_a_facet_that_is_not_claimed_has_a_reason(tmp_path: Path) -> None:
     text = FOREIGN + 'unclaimed = { guard = "has no read-only mode", ping = "no such tool" }\nbind = {}\n'
     adapter = load(tmp_path, text).adapters["modbus"]

@@ -12,6 +12,7 @@ from ...protocols.journal import Entries, JournalEntry
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
 from ..evidence import beyond
 from ..experimenter import Experimenter
+from ..experiments import every_write
 from ..guess import Guess
 from ..known_causes import KnownCause
 from ..pack import Hints, Pack, plain
@@ -176,6 +177,8 @@ def _told(entry: JournalEntry) -> tuple[str, dict[str, object]] | None:
     return operation, told | ({"values": list(values)} if operation.endswith("s") else {"value": values[0]})
 
 
+_UNIT = r"^(unit|unit_id|unitid|slave|slave_id|slaveid)$"
+
 PACK = Pack(
     protocol="modbus",
     operations={
@@ -224,10 +227,10 @@ PACK = Pack(
             r"(read|get)_?device_?(information|info|identification|id)|identify(_?device)?",
         ),
         "read_tag": plain("tag", r"(read|get)_?tag(_?value)?"),
-        "write_registers": plain("registers", r"(write|set)_?(multiple_?)?(holding_?)?registers(_?bulk)?"),
-        "write_coil": plain("coil bit", r"(write|set|force)_?(single_?)?(coil|bit)"),
-        "write_coils": plain("coils bits", r"(write|set|force)_?(multiple_?)?(coil|bit)s(_?bulk)?"),
-        "mask_write": plain("mask write register", r"mask_?write(_?(holding_?)?register)?"),
+        "write_registers": plain("registers", r"(write|set)_?(multiple_?)?(holding_?)?registers(_?bulk)?", every_write("write_registers")),
+        "write_coil": plain("coil bit", r"(write|set|force)_?(single_?)?(coil|bit)", every_write("write_coil")),
+        "write_coils": plain("coils bits", r"(write|set|force)_?(multiple_?)?(coil|bit)s(_?bulk)?", every_write("write_coils")),
+        "mask_write": plain("mask write register", r"mask_?write(_?(holding_?)?register)?", every_write("mask_write")),
         "write_tag": plain("tag", r"(write|set)_?tag(_?value)?"),
     },
     arguments={
@@ -241,7 +244,8 @@ PACK = Pack(
     },
     lists=frozenset({"values"}),
     # The mock device's unit identifier.
-    constants={r"^(unit|unit_id|unitid|slave|slave_id|slaveid)$": 1},
+    constants={_UNIT: 1},
+    stand_ins={"unit": _UNIT},
     names=("modbus", "modbus-tcp", "modbus_tcp", "tcp"),
     told=_told,
     samples=_samples,

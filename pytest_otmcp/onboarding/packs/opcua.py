@@ -13,6 +13,7 @@ from ...protocols.opcua.entries import as_opcua
 from ...protocols.opcua.oracle import children_of, folder_id, some_service
 from ..evidence import Sample, lists_in
 from ..experimenter import Experimenter
+from ..experiments import every_write
 from ..guess import Guess
 from ..pack import Hints, Pack, plain
 from ..proposal import Proposal, Shown
@@ -189,7 +190,9 @@ PACK = Pack(
             experiment=_variables,
         ),
         "write_many": plain(
-            "write multiple nodes", r"(opcua_?)?write_?(multiple|many|batch)_?(opcua_?)?(nodes|values)?"
+            "write multiple nodes",
+            r"(opcua_?)?write_?(multiple|many|batch)_?(opcua_?)?(nodes|values)?",
+            every_write("write_many"),
         ),
         "call_method": plain("call method", r"(opcua_?)?call_?(opcua_?)?method"),
     },
