@@ -38,7 +38,8 @@ def add_parser(subparsers: Any) -> None:
             "in --env {host}, {port}, {url} and, for a serial line, {serial} stand for the mock device. Tools that write are tried only after random values of "
             "the mock device came back through the adapter, or, where no tool reads, a client arrived at the mock broker. Among them are tools that no "
             "operation needs and whose names say that they command the plant. Tools that read are called wherever the adapter leads, and none of "
-            "them whose name says that it changes something."
+            "them whose name says that it changes something. Variables and options that the tools or the adapter's own files name, and that may disable "
+            "its writes, are tried one by one."
         ),
     )
     parser.add_argument(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 from ..protocols.registry import protocols
@@ -14,15 +15,25 @@ from .proposal import Proposal
 __all__ = ["look_without_device", "reach"]
 
 
+_SPEAKS_OF_ERRORS = re.compile(
+    r"""\b(error|failed|failure|exception)s?\b(?!["'\\]*\s*:\s*(null|none|false|\[\]|\{\}))""", re.IGNORECASE
+)
+"""Words of an error, but a member that says that there is none."""
+
+
 async def reach(experimenter: Experimenter, guess: Guess) -> Proposal:
     """Try a tool that only has to reach the device: it is called twice, because the first call may have to connect."""
     await experimenter.call(guess, {})
     shown = await experimenter.call(guess, {})
     asked = {entry["seq"] for entry in shown.entries if entry["request"]}
-    answered = any(entry["answers"] in asked for entry in shown.entries)
+    answers = [entry for entry in shown.entries if entry["answers"] in asked]
+    exercise = protocols()[experimenter.adapter.adapter.protocol].exercise
+    refused = bool(answers) and exercise is not None and all(list(exercise.refusals(entry)) for entry in answers)
+    # A refusal shows that the device is there; an adapter that takes it for an error, and calls the whole a success, does not know it.
+    answered = bool(answers) and not (refused and _SPEAKS_OF_ERRORS.search(str(shown.message)) is not None)
     # A status that is not good may still say of the device alone that it is there: what it says without the device decides.
     proven = answered and shown.message is not None and not read_answer(shown.message, "text")[2]
-    seen = "an exchange" if answered else "nothing"
+    seen = "an exchange" if answered else "nothing that it did not refuse" if refused else "nothing"
     evidence = [f"the device saw {seen}" if proven else f"the device saw {seen}; the answer: {shown.words}"]
     return Proposal(guess=guess, proven=proven, evidence=evidence, good=shown.message)
 

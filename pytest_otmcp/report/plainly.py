@@ -14,6 +14,7 @@ from ..protocols.registry import protocols
 from ..record.schema import Finding
 from ..subject.answers import UNCLASSIFIED
 from ..subject.model import READ_WRITE
+from ..trial.alteration import DEEP, ELEMENTS, TEXT
 from .text import clipped
 
 __all__ = ["InWords", "due", "in_words"]
@@ -102,7 +103,7 @@ def in_words(
     during = during or [entry for entry in entries if entry.get("kind") == "malformed" and _during(call, entry)]
     shown = [entry for entry in during if entry.get("state_changing")] or during
     return InWords(
-        asked=clipped(f"{call.get('tool')} {_json(call.get('arguments'))}", _LETTERS) + _launched(call),
+        asked=clipped(f"{call.get('tool')} {_json(_shortened(call.get('arguments')))}", _LETTERS) + _launched(call),
         said=clipped(_said(call), _LETTERS),
         seen=tuple(clipped(_described(entry), _LETTERS) for entry in shown[:_SHOWN]),
         more_seen=max(0, len(shown) - _SHOWN),
@@ -181,6 +182,21 @@ def _described(entry: Mapping[str, Any]) -> str:
     except (KeyError, TypeError):
         # A record of another kit may have entries with other members.
         return str(entry.get("kind"))
+
+
+_LARGE = {TEXT: "a text of {} characters", ELEMENTS: "a list of {} elements", DEEP: "a list that is nested {} deep"}
+
+
+def _shortened(arguments: object) -> object:
+    """Return arguments with words in the place of the values that are too large for a record, which stand for them there."""
+    if not isinstance(arguments, Mapping):
+        return arguments
+    return {
+        name: _LARGE[next(iter(value))].format(next(iter(value.values())))
+        if isinstance(value, Mapping) and len(value) == 1 and next(iter(value)) in _LARGE
+        else value
+        for name, value in arguments.items()
+    }
 
 
 def _json(value: object) -> str:

@@ -8,14 +8,14 @@ from typing import Any
 
 from ..record.schema import Altered
 
-__all__ = ["DEEP", "ELEMENTS", "Alteration", "expanded", "filler"]
+__all__ = ["DEEP", "ELEMENTS", "TEXT", "Alteration", "expanded", "filler"]
 
-_TEXT = "otmcp/filler"
+TEXT = "otmcp/filler"
 ELEMENTS = "otmcp/elements"
 DEEP = "otmcp/depth"
 
 
-def filler(size: int, kind: str = _TEXT) -> dict[str, int]:
+def filler(size: int, kind: str = TEXT) -> dict[str, int]:
     """Return a value that stands for a large one, so that no record holds megabytes.
 
     Args:
@@ -56,8 +56,8 @@ def expanded(arguments: Mapping[str, Any]) -> dict[str, Any]:
 def _expanded(value: Any) -> Any:
     if not isinstance(value, dict) or len(value) != 1:
         return value
-    if _TEXT in value:
-        return "x" * value[_TEXT]
+    if TEXT in value:
+        return "x" * value[TEXT]
     if ELEMENTS in value:
         return [0] * value[ELEMENTS]
     nested: list[Any] = []

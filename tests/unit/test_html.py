@@ -767,3 +767,10 @@ def test_the_verdict_says_whether_the_device_contradicts_the_adapter() -> None:
     assert "The adapter failed. Each cause is below" in Page(page(run([M1, short]))).text
     told = "The adapter failed, and its device contradicts what it said (1 of 2 causes: WR-003). Each cause"
     assert told in Page(page(run([written_twice(), short]))).text
+
+
+def test_a_value_that_is_too_large_for_a_record_is_shown_in_words() -> None:
+    arguments = {"payload": {"otmcp/filler": 10_000_000}, "qos": 0}
+    told = in_words([{"ok": False, "tool": "publish", "arguments": arguments, "role": "task", "latency_ms": None}], [])
+    assert told is not None
+    assert told.asked == 'publish {"payload": "a text of 10000000 characters", "qos": 0}'
