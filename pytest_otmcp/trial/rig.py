@@ -103,9 +103,7 @@ class Rig(WriteGate):
     def _must_express(self, operation: str, inputs: Mapping[str, object]) -> None:
         if not self.expresses(operation, inputs):
             reason = INEXPRESSIBLE
-        elif not self.subject.claims(operation) or (
-            self.bindings(operation) and not self._player.is_bound(operation, inputs)
-        ):
+        elif not self.subject.claims(operation) or self._is_voluntary_for_others(operation, inputs):
             reason = UNBOUND
         else:
             return
@@ -113,6 +111,11 @@ class Rig(WriteGate):
             said = ", ".join(f"{name}={value!r}" for name, value in inputs.items())
             self._ledger.inapplicable = f"{reason} {operation} with {said:.60}"
         raise EndedError
+
+    def _is_voluntary_for_others(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        """Tell whether bindings that nobody has to have are for other inputs than these."""
+        voluntary = protocols()[self.protocol].operations[operation].voluntary
+        return voluntary and bool(self.bindings(operation)) and not self._player.is_bound(operation, inputs)
 
     def _excess(self, operation: str, tool: str, arguments: Mapping[str, object]) -> str | None:
         listing = self.listing(operation, tool)

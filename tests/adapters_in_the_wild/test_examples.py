@@ -107,9 +107,17 @@ def sometimes(item: Mapping[str, Any]) -> bool:
     return any(passed) and not all(passed) and not failing(item["findings"])
 
 
+FORMERLY = dict.fromkeys(
+    [("REC-002", "answers_when_gone"), (None, "not_proven_again")],
+    (None, "not_proven"),
+)
+"""What the kits that made the records called what is told apart since."""
+
+
 def faults(item: Mapping[str, Any]) -> set[tuple[str | None, str]]:
-    """Return requirement and code of each finding about a MUST."""
-    return {(finding["requirement"], finding["code"]) for finding in failing(findings_of(cast(Item, item)))}
+    """Return requirement and code of each finding about a MUST, as the records have them."""
+    found = [(finding["requirement"], finding["code"]) for finding in failing(findings_of(cast(Item, item)))]
+    return {FORMERLY.get(one, one) for one in found}
 
 
 async def judged(subject_file: Path, plant: Plant) -> tuple[dict[str, Any], list[str]]:

@@ -18,7 +18,7 @@ __all__ = ["wire"]
 
 _LINES = 12
 _WIDTH = 150
-_OF_THE_PROCESS = {"cannot_start", "does_not_exit", "not_proven", "start_timeout", "stdout_noise"}
+_OF_THE_PROCESS = {"cannot_start", "does_not_exit", "not_proven", "not_proven_again", "start_timeout", "stdout_noise"}
 """Codes of findings that are about the process or its session, not about a call."""
 _NONCE = re.compile(r"nonce-[0-9a-f]+")
 

@@ -121,16 +121,16 @@ def test_what_a_command_cannot_express_does_not_apply(judge_foreign: Judge) -> N
     )
 
 
-def test_what_a_binding_is_not_for_does_not_apply(judge: Judge) -> None:
+def test_what_a_voluntary_binding_is_not_for_does_not_apply(judge: Judge) -> None:
     def narrowed(adapter: Adapter) -> Adapter:
-        bound = adapter.operations["read_holding"]
+        bound = adapter.operations["read_typed"]
         assert isinstance(bound, tuple)
-        only = tuple(replace(one, when={"address": [3, 4]}) for one in bound)
-        return replace(adapter, operations={**adapter.operations, "read_holding": only})
+        only = tuple(replace(one, when={"type": ["int16", "uint16"]}) for one in bound)
+        return replace(adapter, operations={**adapter.operations, "read_typed": only})
 
-    results = judge("modbus", "defective.py", "none", tasks="RD-007.modbus", described=narrowed)
-    assert results["RD-007.modbus"]["status"] == "NOT_APPLICABLE", words(results)
-    assert results["RD-007.modbus"]["reason"].startswith("no binding of the subject is for read_holding with")
+    results = judge("modbus", "defective.py", "none", tasks="ENC-005.modbus", described=narrowed)
+    assert results["ENC-005.modbus"]["status"] == "NOT_APPLICABLE", words(results)
+    assert results["ENC-005.modbus"]["reason"].startswith("no binding of the subject is for read_typed with")
 
 
 @pytest.mark.parametrize(
