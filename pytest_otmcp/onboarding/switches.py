@@ -31,30 +31,33 @@ _BOTH = {
 _USUAL = [("true", "false"), ("1", "0"), ("true", "")]
 """A variable that is only looked for is off when it has nothing in it."""
 
+# The patterns are bounded: a file may hold anything, a million letters in one word as well.
 _VARIABLE = re.compile(r"\b[A-Z][A-Z0-9]*(?:_[A-Z0-9]+)+\b")
 _MAY_DISABLE = re.compile(r"READ_?ONLY|WRIT(E|ABLE|ING)", re.IGNORECASE)
 _OTHER = re.compile(r"TIMEOUT|DELAY|INTERVAL|RETR|TOPIC|REGISTER|TOKEN|KEY|USER|PASS|FILE|PATH|DIR|LOG|LIMIT|MAX|MIN")
 """Words in the names of variables that are about something else of writing."""
 
 _ASKED = re.compile(
-    r"""(?:environ|getenv|\benv|envvar|alias)\b[^\w\n]{0,3}(?:get\W{1,2})?['"`]?(?P<name>[A-Z][A-Z0-9_]+)\b"""
+    r"""(?:environ|getenv|\benv|envvar|alias)\b[^\w\n]{0,3}(?:get\W{1,2})?['"`]?(?P<name>[A-Z][A-Z0-9_]{1,80})\b"""
 )
 """A variable where a program asks for it: ``os.environ["NAME"]``, ``process.env.NAME``, ``Field(alias="NAME")``."""
 
 _PLAIN = re.compile(
-    r"""\b(?:[A-Z0-9]+_)*
+    r"""\b(?:[A-Z0-9]{1,30}_){0,6}
     (?: READ_?ONLY | WRIT(?:ABLE|ES?|ING)_(?:ENABLED?|ALLOWED|DISABLED?|PERMITTED|ACCESS|MODE|PROTECT(?:ED|ION)?)
-      | (?:ALLOW|ENABLE|DISABLE|PERMIT|FORBID|BLOCK|DENY|UNLOCK|NO)_(?:[A-Z0-9]+_)*WRIT(?:ES?|ING) )
-    (?:_[A-Z0-9]+)?\b""",
+      | (?:ALLOW|ENABLE|DISABLE|PERMIT|FORBID|BLOCK|DENY|UNLOCK|NO)_(?:[A-Z0-9]{1,30}_){0,4}WRIT(?:ES?|ING) )
+    (?:_[A-Z0-9]{1,30})?\b""",
     re.VERBOSE,
 )
 """A variable that says by its name alone what it does."""
 
 _OPTION = re.compile(
-    r"""(?<=['"`])--(?:[a-z0-9]+-)*(?:read-?only|(?:allow|enable|disable|permit|forbid|block|deny|unlock|no)-(?:[a-z0-9]+-)*writ(?:es?|ing))(?=['"`])"""
+    r"""(?<=['"`])--(?:[a-z0-9]{1,30}-){0,6}(?:read-?only|(?:allow|enable|disable|permit|forbid|block|deny|unlock|no)-(?:[a-z0-9]{1,30}-){0,4}writ(?:es?|ing))(?=['"`])"""
 )
 _PREFIX = re.compile(r"""env_prefix\s*=\s*['"](?P<prefix>[A-Z0-9_]+)['"]""")
-_SETTING = re.compile(r"^[ \t]+(?P<name>\w*(?:read_?only|writ(?:able|es?|ing))\w*)[ \t]*:[ \t]*bool\b", re.MULTILINE)
+_SETTING = re.compile(
+    r"^[ \t]{1,40}(?P<name>\w{0,40}(?:read_?only|writ(?:able|es?|ing))\w{0,40})[ \t]*:[ \t]*bool\b", re.MULTILINE
+)
 """A member of pydantic's settings, whose variable has a prefix."""
 
 _FORBIDS = re.compile(r"read_?-?only|disable|forbid|block|deny|protect|lock|(^|[_-])no[_-]", re.IGNORECASE)
