@@ -52,7 +52,7 @@ def _version(description: Path) -> str | None:
     source = source_of(description)
     try:
         told: Any = json.loads(source) if description.suffix == ".json" else tomllib.loads(source).get("project")
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     version = told.get("version") if isinstance(told, dict) else None
     return version if isinstance(version, str) and version else None

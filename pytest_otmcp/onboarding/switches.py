@@ -18,7 +18,7 @@ from .evidence import claims_success
 from .experimenter import Experimenter, NotProvenError
 from .proposal import Proposal
 
-__all__ = ["Switch", "launched", "look_for_switch", "named_switches", "switches_of"]
+__all__ = ["Switch", "launched", "look_for_switch", "switches_of"]
 
 _TRIED = 4
 """At most so many variables and options are tried, those first that the adapter is given, then those that its tools name."""
@@ -79,16 +79,8 @@ class Switch:
     rw: Mapping[str, object]
 
 
-def named_switches(names: Iterable[str], env: Mapping[str, str]) -> tuple[Switch, ...]:
-    """Return the switches of these names, in each way in which a variable is usually set.
-
-    Args:
-        env: the environment that the adapter is given: how a variable is written there is how it is set.
-    """
-    return tuple(switch for name in dict.fromkeys(names) for switch in _ways(name, env))
-
-
 def _ways(name: str, env: Mapping[str, str]) -> Iterator[Switch]:
+    """Yield a switch for each way in which a variable is usually set; what the adapter is given of it already says the way."""
     forbids = _FORBIDS.search(name) is not None and _UNLOCKS.search(name) is None
     if name.startswith("--"):
         given, none = {"args": [name]}, dict[str, object]()
@@ -107,7 +99,8 @@ def switches_of(adapter: Adapter, texts: Iterable[str]) -> tuple[Switch, ...]:
     described = [name for text in texts for name in _VARIABLE.findall(text) if _MAY_DISABLE.search(name)]
     files = own_files(variant.command, variant.cwd or Path.cwd())
     read = [name for file in files for name in _in_source(source_of(file))]
-    return named_switches(list(dict.fromkeys((*given, *described, *read)))[:_TRIED], variant.env)
+    names = list(dict.fromkeys((*given, *described, *read)))[:_TRIED]
+    return tuple(switch for name in names for switch in _ways(name, variant.env))
 
 
 def _in_source(source: str) -> Iterator[str]:
