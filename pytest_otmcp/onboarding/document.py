@@ -16,7 +16,7 @@ from ..subject.answers import interpret, read_answer
 from ..subject.command import Draw
 from ..subject.model import Answering, placeholders
 from .effects import Effect
-from .evidence import CONNECT_FAILED, CONNECTION_LOST, failure_rules, known_errors, prose_rule
+from .evidence import CONNECT_FAILED, CONNECTION_LOST, TIMEOUT, failure_rules, known_errors, prose_rule
 from .proposal import Proposal
 from .readiness import Readiness
 from .switches import Switch
@@ -332,7 +332,12 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
     proven = [proposal for proposal in draft.proposals.values() if proposal.proven]
     successes = [proposal.good for proposal in proven if proposal.good is not None]
     errors: list[dict[str, str]] = []
-    patterns = {"connect_failed": CONNECT_FAILED, "connection_lost": CONNECTION_LOST, **draft.errors}
+    patterns = {
+        "connect_failed": CONNECT_FAILED,
+        "connection_lost": CONNECTION_LOST,
+        "timeout": TIMEOUT,
+        **draft.errors,
+    }
     failures = [(proposal, *failed) for proposal in proven for failed in proposal.failures]
     for tried, code, failure in failures:
         rules = failure_rules(failure, successes, form)

@@ -26,7 +26,7 @@ from .pack import Pack
 from .product_version import product_version
 from .proposal import Proposal, by_name
 from .readiness import look_for_readiness
-from .status import look_without_device
+from .status import look_at_silence, look_without_device
 from .switches import Switch, launched, look_for_switch, switches_of
 
 __all__ = ["describe_launch", "draft"]
@@ -128,6 +128,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
             if switch is not None:
                 say(f"  guard           {switch.name} (proven: it disables writes, and enables them)")
             await look_without_device(experimenter, proposals)
+            await look_at_silence(experimenter, proposals)
             recovery = await look_after_outage(experimenter, proposals)
             if recovery not in (None, "same_session"):
                 say(f"  recovery        {recovery} (after the device was away nothing else helped)")
@@ -230,6 +231,10 @@ async def _try_operations(
             proposal = await experimenter.best(guesses, experiment, writes=writes)
         else:
             proposal = by_name(guesses)
+        if proposal is not None and known.voluntary and proposal.tried and not proposal.proven:
+            # A tool that was proven to do something else was a candidate, and no more.
+            taken = {one.guess.tool for one in proposals.values() if one.proven}
+            proposal = None if proposal.guess.tool in taken else proposal
         if proposal is not None:
             proposals[operation] = proposal
         if not known.status and (proposal is not None or not known.voluntary):

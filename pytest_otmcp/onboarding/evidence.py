@@ -17,6 +17,7 @@ __all__ = [
     "CONNECTION_LOST",
     "CONNECT_FAILED",
     "FORMS",
+    "TIMEOUT",
     "Found",
     "Sample",
     "beyond",
@@ -42,8 +43,9 @@ that was made; "offline" and "not connected" are said of both."""
 
 CONNECT_FAILED = (rf"(?is)^(?!.*({_LOST})).*({_NOT_MADE})",)
 CONNECTION_LOST = (rf"(?is)^(?!.*({_NOT_MADE})).*({_LOST})",)
-"""Patterns of the texts in which adapters of any protocol say that their device cannot be reached, and that the connection with it broke.
-A text that says both has neither code."""
+TIMEOUT = (rf"(?is)^(?!.*({_NOT_MADE}|{_LOST})).*(\btime[ds]?[ -]?out|no (response|answer|reply)\b)",)
+"""Patterns of the texts in which adapters of any protocol say that their device cannot be reached, that the connection with it broke, and
+that it did not answer in time. A text that says two of these has no code."""
 
 _BESIDE = {"connect_failed": ("connection_lost",)}
 """Codes of failures that may come in the place of another one: an adapter whose device has gone may say that it has just lost it."""
@@ -275,9 +277,9 @@ def _kind(value: object) -> str:
 
 
 def lists_in(
-    message: Mapping[str, object], prefix: str, told: Mapping[str, object] | None = None
+    message: Mapping[str, object], told: Mapping[str, object] | None = None
 ) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
-    """Yield every list of texts in an answer with its form and its rule: as it is, without ``prefix``, without the first.
+    """Yield every list of texts in an answer with its form and its rule: as it is, and without the first.
 
     Args:
         told: the inputs as the tool was told them.
@@ -288,11 +290,10 @@ def lists_in(
         searched = _held(document) if isinstance(document, str) else document
         if searched is None:
             continue
-        for path, _ in _places(searched, "", told):
-            whole: tuple[dict[str, Any], ...] = {**within, at: path}, {**within, at: path, "strip": prefix}
+        for path in ("@", *(place for place, _ in _places(searched, "", told))):
             # A list of nodes may begin with the node that was asked for.
-            rest = [{**rule, at: path.replace("[]", "[1:]", 1)} for rule in whole if "[]" in path]
-            for rule in (*whole, *rest):
+            rest = [path.replace("[]", "[1:]", 1)] if "[]" in path else []
+            for rule in ({**within, at: place} for place in (path, *rest)):
                 value = Sample(message=message, expected=None, told=told or {}).read(form, rule)
                 if isinstance(value, list) and value and all(isinstance(entry, str) for entry in value):
                     yield form, rule, value
@@ -302,6 +303,8 @@ _UP = re.compile(r"(connected|reachable|online|up|ok|healthy)", re.IGNORECASE)
 _FAILING_WORDS = re.compile(
     r"^\W*(error|failed|failure|cannot|could not|unable|exception|invalid|not connected)\b", re.IGNORECASE
 )
+_FAILING_PART = r"(?i)[:,(\[]\s*[\"'](error|failed|failure|exception)\b(?![\w ]*[\"']\s*:)"
+"""How a sentence tells of one failure among several results: a text in quotation marks, which is no name of another."""
 _FAILING_PATHS = (
     "success == `false`",
     "ok == `false`",
@@ -329,6 +332,8 @@ def failure_rules(
     first = _FAILING_WORDS.match(text)
     if first is not None:
         rules.append({"text": f"(?i)^\\W*{first[1].lower()}", "then": "failure"})
+    if not isinstance(read_answer(failure, "json")[0], dict | list):
+        rules.append({"text": _FAILING_PART, "then": "failure"})
     for rule in rules:
         answering = Answering(
             form=form, outcome=(OutcomeRule(success=False, text=rule.get("text"), path=rule.get("path")),)

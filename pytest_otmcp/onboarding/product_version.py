@@ -1,10 +1,12 @@
-"""The version of an adapter's product: that of the package which its launch command starts, as the package itself says."""
+"""The version of an adapter's product: that of the package which its launch command starts, as the package itself says, else the commit."""
 
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +15,15 @@ from ..subject.imports import own_files, source_of
 __all__ = ["product_version"]
 
 _FOLDERS = 4
-"""Folders above a program in which the file that describes its package may be."""
+"""Folders above a program in which the file that describes its package, and its repository, may be."""
+
+_COMMIT, _SHORT = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?"), 7
+"""A commit, and the digits by which Git names it in short."""
 
 
 def product_version(command: Sequence[str], cwd: Path) -> tuple[str, str] | None:
-    """Return the version of the package that a launch command starts, and the name of the file that says so; None where no file does.
+    """Return the version of the package that a launch command starts, and what says so: the name of a file, or Git of a copy of a
+    repository; None where nothing does.
 
     Args:
         command: the launch command, with its placeholders as they are.
@@ -26,7 +32,7 @@ def product_version(command: Sequence[str], cwd: Path) -> tuple[str, str] | None
     file = next(own_files(command, cwd), None)
     if file is None:
         return None
-    return next(_installed(file) if "site-packages" in file.parts else _described(file), None)
+    return next(_installed(file) if "site-packages" in file.parts else chain(_described(file), _committed(file)), None)
 
 
 def _installed(file: Path) -> Iterator[tuple[str, str]]:
@@ -46,6 +52,18 @@ def _described(file: Path) -> Iterator[tuple[str, str]]:
             version = _version(folder / name)
             if version is not None:
                 yield version, name
+
+
+def _committed(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield the commit of the repository that a file is in."""
+    for git in (folder / ".git" for folder in file.resolve().parents[:_FOLDERS]):
+        head = source_of(git / "HEAD").strip()
+        branch = head.removeprefix("ref: ")
+        packed = (line.partition(" ") for line in source_of(git / "packed-refs").splitlines())
+        commits = (head, source_of(git / branch).strip(), *(commit for commit, _, name in packed if name == branch))
+        yield from (
+            (commit[:_SHORT], "the commit that its repository is at") for commit in commits if _COMMIT.fullmatch(commit)
+        )
 
 
 def _version(description: Path) -> str | None:

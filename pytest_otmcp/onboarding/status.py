@@ -1,10 +1,11 @@
-"""The trial of tools that tell whether the device can be reached: with the device, and at last without it."""
+"""The trial of tools that tell whether the device can be reached: with the device, and at last without it, and with one that is silent."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
 
+from ..protocols.protocol import Operation
 from ..protocols.registry import protocols
 from ..subject.answers import read_answer
 from .evidence import claims_success, failure_rules, turned_false
@@ -12,7 +13,7 @@ from .experimenter import Experimenter, words_of
 from .guess import Guess
 from .proposal import Proposal
 
-__all__ = ["look_without_device", "reach"]
+__all__ = ["look_at_silence", "look_without_device", "reach"]
 
 
 _SPEAKS_OF_ERRORS = re.compile(
@@ -43,12 +44,7 @@ async def look_without_device(experimenter: Experimenter, proposals: Mapping[str
 
     It is the last experiment, because an adapter may not come back from it.
     """
-    known = protocols()[experimenter.adapter.adapter.protocol]
-    proven = [
-        (known.operations[call.operation], proposals[call.operation], call.made(experimenter.random))
-        for call in known.proof.unreachable
-        if call.operation in proposals and proposals[call.operation].proven
-    ]
+    proven = _proven(experimenter, proposals)
     others = [tried for tried in proven if not tried[0].status]
     for operation, proposal, inputs in [*(tried for tried in proven if tried[0].status), *others[:1]]:
         await experimenter.renew()
@@ -61,6 +57,36 @@ async def look_without_device(experimenter: Experimenter, proposals: Mapping[str
             _judge_status(proposal, operation.tells, message, failure)
         elif message is not None:
             proposal.failures.append(("connect_failed", message))
+
+
+async def look_at_silence(experimenter: Experimenter, proposals: Mapping[str, Proposal]) -> None:
+    """Call what is proven and cannot succeed while the device takes every request and answers none: how long that takes says which
+    deadline the adapter can keep."""
+    exercise = protocols()[experimenter.adapter.adapter.protocol].exercise
+    tried = next((one for one in _proven(experimenter, proposals) if not one[0].status), None)
+    if exercise is None or tried is None:
+        return
+    _, proposal, inputs = tried
+    await experimenter.renew()
+    await experimenter.device.fault(*exercise.silent)
+    try:
+        message, _ = await experimenter.answer(proposal.guess, proposal.offset, inputs, writes=False)
+    finally:
+        await experimenter.device.fault()
+    if message is not None:
+        proposal.failures.append(("timeout", message))
+
+
+def _proven(
+    experimenter: Experimenter, proposals: Mapping[str, Proposal]
+) -> list[tuple[Operation, Proposal, Mapping[str, object]]]:
+    """Return the operations that are proven and cannot succeed without the device, each with inputs for a call."""
+    known = protocols()[experimenter.adapter.adapter.protocol]
+    return [
+        (known.operations[call.operation], proposals[call.operation], call.made(experimenter.random))
+        for call in known.proof.unreachable
+        if call.operation in proposals and proposals[call.operation].proven
+    ]
 
 
 def _judge_status(proposal: Proposal, tells: str | None, message: Mapping[str, object] | None, failure: str) -> None:

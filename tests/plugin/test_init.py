@@ -379,7 +379,7 @@ ENDPOINTS = {
 PROVEN_ALTHOUGH_VOLUNTARY = {
     "modbus": {"read_coils", "read_discrete_inputs", "write_registers", "write_coil", "write_coils", "mask_write"},
     "opcua": {"write_many"},
-    "mqtt": {"sparkplug_metrics", "send_node_command", "send_device_command"},
+    "mqtt": {"unsubscribe", "subscriptions", "sparkplug_metrics", "send_node_command", "send_device_command"},
     "profinet": {"read_record", "write_record"},
 }
 NOT_PROPOSED = {"s7": {"write_marker"}}

@@ -18,6 +18,7 @@ from pytest_otmcp.onboarding.drafting import describe_launch
 from pytest_otmcp.onboarding.evidence import (
     CONNECT_FAILED,
     CONNECTION_LOST,
+    TIMEOUT,
     Sample,
     failure_rules,
     find,
@@ -476,7 +477,7 @@ def test_a_value_that_is_not_there_is_not_found() -> None:
 
 def test_a_list_of_nodes_may_begin_with_the_node_that_was_asked_for() -> None:
     message = blocks('{"node_id": "ns=2;i=1"}', '{"node_id": "ns=2;i=2"}', '{"node_id": "ns=2;i=3"}')
-    found = {rule["path"]: nodes for form, rule, nodes in lists_in(message, "2:")}
+    found = {rule["path"]: nodes for form, rule, nodes in lists_in(message)}
     assert found["[1:].node_id"] == ["ns=2;i=2", "ns=2;i=3"]
 
 
@@ -490,7 +491,7 @@ def test_values_are_found_in_an_object_behind_words(shown: str) -> None:
 
 def test_a_list_of_nodes_is_found_behind_words() -> None:
     message = answer("Children of i=85: [{'node_id': 'ns=2;i=1', 'name': 'A'}, {'node_id': 'ns=2;i=2', 'name': 'B'}]")
-    found = {rule.get("then"): nodes for form, rule, nodes in lists_in(message, "2:") if form == "text"}
+    found = {rule.get("then"): nodes for form, rule, nodes in lists_in(message) if form == "text"}
     assert found["[].node_id"] == ["ns=2;i=1", "ns=2;i=2"]
 
 
@@ -786,6 +787,25 @@ def test_the_version_of_the_product_is_that_of_its_package(tmp_path: Path) -> No
     assert '# By package.json.\nversion = "3.1.4"\n' in text
 
 
+@pytest.mark.parametrize("packed", [False, True])
+def test_the_version_of_a_program_without_a_description_is_the_commit_of_its_repository(
+    tmp_path: Path, packed: bool
+) -> None:
+    commit = "0123456789abcdef0123456789abcdef01234567"
+    (tmp_path / ".git" / "refs" / "heads").mkdir(parents=True)
+    (tmp_path / ".git" / "HEAD").write_text("ref: refs/heads/main\n", encoding="utf-8")
+    listed, text = (
+        ("packed-refs", f"# pack-refs with: peeled\n{commit} refs/heads/main\n")
+        if packed
+        else ("refs/heads/main", f"{commit}\n")
+    )
+    (tmp_path / ".git" / listed).write_text(text, encoding="utf-8")
+    (tmp_path / "server.py").write_text("", encoding="utf-8")
+    found = product_version(["python", str(tmp_path / "server.py")], tmp_path)
+    assert found is not None
+    assert found[0] == "0123456"
+
+
 def test_the_version_of_an_installed_package_is_that_of_its_metadata(tmp_path: Path) -> None:
     packages = tmp_path / "lib" / "python3.11" / "site-packages"
     (packages / "plant").mkdir(parents=True)
@@ -887,8 +907,42 @@ def test_a_tool_whose_name_says_that_it_changes_something_is_never_called_as_a_r
     ],
 )
 def test_a_connection_that_broke_is_not_one_that_could_not_be_made(text: str, codes: list[str]) -> None:
-    patterns = {"connect_failed": CONNECT_FAILED, "connection_lost": CONNECTION_LOST}
+    patterns = {"connect_failed": CONNECT_FAILED, "connection_lost": CONNECTION_LOST, "timeout": TIMEOUT}
     assert [rule["code"] for rule in known_errors(patterns, "connect_failed", text)] == codes
+
+
+@pytest.mark.parametrize(
+    ("text", "known"),
+    [
+        ("Request timed out", True),
+        ("Modbus Error: No response received after 3 retries", True),
+        ("read timeout", True),
+        ("no response, connection closed", False),
+        ("the timer is out of range", False),
+        ("connection refused", False),
+    ],
+)
+def test_a_device_that_did_not_answer_in_time_is_none_that_is_gone(text: str, known: bool) -> None:
+    assert [rule["code"] for rule in known_errors({"timeout": TIMEOUT}, "timeout", text)] == ["timeout"] * known
+
+
+@pytest.mark.parametrize(
+    ("text", "tells"),
+    [
+        ("values: {'ns=2;s=A': 1.5, 'ns=2;s=B': 'Error reading node ns=2;s=B: BadNodeIdUnknown'}", True),
+        ('values: [1.5, "error: no such node"]', True),
+        ("values: {'ns=2;s=A': 1.5, 'error': None}", False),
+        ("values: {'ns=2;s=A': 1.5, 'ns=2;s=B': 'no error'}", False),
+    ],
+)
+def test_one_failure_among_several_results_is_told_from_a_success(text: str, tells: bool) -> None:
+    good = [answer("values: {'ns=2;s=A': 1.5, 'ns=2;s=B': 'ready'}")]
+    assert bool(failure_rules(answer(text), good, "text")) is tells
+
+
+def test_a_list_behind_words_is_found_as_it_is() -> None:
+    found = [rule for form, rule, texts in lists_in(answer("Subscribed: ['a/b', 'c/#']")) if texts == ["a/b", "c/#"]]
+    assert found
 
 
 def test_a_node_id_that_is_none_is_no_illegal_address() -> None:

@@ -177,6 +177,8 @@ def _told(entry: JournalEntry) -> tuple[str, dict[str, object]] | None:
     return operation, told | ({"values": list(values)} if operation.endswith("s") else {"value": values[0]})
 
 
+_ALL_TABLES = r"(read|get)_?registers?"
+"""Names of tools that may read all four tables, told apart by numbers such as 40001."""
 _UNIT = r"^(unit|unit_id|unitid|slave|slave_id|slaveid)$"
 
 PACK = Pack(
@@ -213,11 +215,11 @@ PACK = Pack(
             trials={_TABLE: ("holding", "hr", "holding_register", "holding_registers")},
         ),
         "read_coils": plain(
-            "coil coils bit bits", r"(?!\w*discrete)(read|get)\w*(coil|bit)s?(_?(status|states?|values?))?", _read_coils
+            "coil coils bit bits", rf"(?!\w*discrete)(read|get)\w*(coil|bit)s?(_?(status|states?|values?))?|{_ALL_TABLES}", _read_coils
         ),
         "read_discrete_inputs": plain(
             "discrete input inputs",
-            r"(read|get)\w*discrete(_?inputs?)?(_?(status|states?|values?))?",
+            rf"(read|get)\w*discrete(_?inputs?)?(_?(status|states?|values?))?|{_ALL_TABLES}",
             _read_discrete_inputs,
         ),
         "read_typed": plain("typed holding", r"(?!\w*input)(read|get)\w*typed\w*"),
@@ -228,8 +230,8 @@ PACK = Pack(
         ),
         "read_tag": plain("tag", r"(read|get)_?tag(_?value)?"),
         "write_registers": plain("registers", r"(write|set)_?(multiple_?)?(holding_?)?registers(_?bulk)?", every_write("write_registers")),
-        "write_coil": plain("coil bit", r"(write|set|force)_?(single_?)?(coil|bit)", every_write("write_coil")),
-        "write_coils": plain("coils bits", r"(write|set|force)_?(multiple_?)?(coil|bit)s(_?bulk)?", every_write("write_coils")),
+        "write_coil": plain("coil bit", r"(write|set|force)_?(single_?)?(coil|bit|registers?)", every_write("write_coil")),
+        "write_coils": plain("coils bits", r"(write|set|force)_?(multiple_?)?(coil|bit|register)s(_?bulk)?", every_write("write_coils")),
         "mask_write": plain("mask write register", r"mask_?write(_?(holding_?)?register)?", every_write("mask_write")),
         "write_tag": plain("tag", r"(write|set)_?tag(_?value)?"),
     },

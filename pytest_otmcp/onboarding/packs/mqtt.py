@@ -14,7 +14,7 @@ from ...protocols.mqtt.entries import as_mqtt, payload_of
 from ...subject.answers import extract, read_answer
 from ...subject.model import OutputRule, placeholders
 from ...wire.mqtt.sparkplug import parse_topic
-from ..evidence import Sample, claims_success, find
+from ..evidence import Sample, claims_success, find, lists_in
 from ..experimenter import Experimenter
 from ..guess import Guess
 from ..pack import Hints, Pack, plain
@@ -26,6 +26,10 @@ __all__ = ["PACK"]
 _ENDINGS = ("UNSUBSCRIBE", "DISCONNECT", "DISCONNECTED")
 _COLLECTED, _KEPT = "otmcp/init/z", "otmcp/init/x"
 """Topics of the messages that a call waits for, and of those that are asked for later."""
+_SUBSCRIBED = "otmcp/init/#"
+"""The filter that is subscribed to for the latter."""
+_ASKED = "otmcp/filter"
+"""What the filters begin with by which tools that subscribe are tried."""
 
 _LOOKS, _LOOK_S = 20, 0.05
 """How often a tool is asked for what a node has reported, and the pause in between."""
@@ -41,12 +45,12 @@ def _nonce(experimenter: Experimenter) -> str:
 
 async def _subscribe(experimenter: Experimenter, guess: Guess) -> Proposal:
     nonce = _nonce(experimenter)
-    shown = await _call_and_publish(experimenter, guess, [nonce], filter=f"otmcp/{nonce}", qos=0)
+    shown = await _call_and_publish(experimenter, guess, [nonce], filter=f"{_ASKED}/{nonce}", qos=0)
     asked = [entry["connection"] for entry in shown.entries if entry["kind"] == "SUBSCRIBE" and nonce in str(entry)]
     ended = {entry["connection"] for entry in shown.entries if entry["kind"] in _ENDINGS}
     # A call that subscribes, waits and leaves again, or answers with what came, receives by itself: it is no subscription for
     # later.
-    waited = nonce in str(shown.message).replace(f"otmcp/{nonce}", "")
+    waited = nonce in str(shown.message).replace(f"{_ASKED}/{nonce}", "")
     kept = bool(set(asked) - ended) and not waited and shown.message is not None and claims_success(shown.message)
     proposal = experimenter.propose(guess, shown, proven=kept, seen="a SUBSCRIBE for the filter" if asked else "")
     proposal.returned = bool(asked)
@@ -54,7 +58,7 @@ async def _subscribe(experimenter: Experimenter, guess: Guess) -> Proposal:
         proposal.evidence = ["no subscription for later: the call waits, and answers with the messages"]
     if kept:
         # For the messages that the next experiment publishes.
-        await experimenter.call(guess, {}, filter="otmcp/init/#", qos=0)
+        await experimenter.call(guess, {}, filter=_SUBSCRIBED, qos=0)
     return proposal
 
 
@@ -183,6 +187,24 @@ async def _report(experimenter: Experimenter, guess: Guess, kind: str, further: 
     shown = await experimenter.call(guess, {}, device="device-1", metrics=[metric])
     seen = any(f"/{kind}/" in str(entry.get("topic")) and entry["direction"] == "in" for entry in shown.entries)
     return experimenter.propose(guess, shown, proven=seen, seen=f"a {kind}" if seen else "")
+
+
+async def _unsubscribe(experimenter: Experimenter, guess: Guess) -> Proposal:
+    shown = await experimenter.call(guess, {}, filter=_SUBSCRIBED)
+    ended = any(entry["kind"] == "UNSUBSCRIBE" and _SUBSCRIBED in str(entry) for entry in shown.entries)
+    return experimenter.propose(guess, shown, proven=ended, seen="an UNSUBSCRIBE for the filter" if ended else "")
+
+
+async def _subscriptions(experimenter: Experimenter, guess: Guess) -> Proposal:
+    """Try a tool that tells the filters of which one was subscribed to before."""
+    shown = await experimenter.call(guess, {})
+    proposal = experimenter.propose(guess, shown, proven=False)
+    for form, rule, found in lists_in(shown.message or {}):
+        if any(one.startswith(_ASKED) for one in found):
+            proposal.proven, proposal.form, proposal.outputs["filters"] = True, form, rule
+            proposal.evidence = ["a filter that was subscribed to is in the answer"]
+            break
+    return proposal
 
 
 def _told(entry: JournalEntry) -> tuple[str, dict[str, object]] | None:
@@ -322,8 +344,12 @@ PACK = Pack(
             needed="data ddata sparkplug",
             experiment=_device_data,
         ),
-        "unsubscribe": plain("unsubscribe", r"(mqtt_?)?unsubscribe(_?(from_?)?topic)?"),
-        "subscriptions": plain("subscriptions", r"(mqtt_?)?(list|get|show)_?(active_?)?subscriptions"),
+        "unsubscribe": plain("unsubscribe", r"(mqtt_?)?unsubscribe(_?(from_?)?(mqtt_?)?topic)?", _unsubscribe),
+        "subscriptions": plain(
+            "subscriptions subscribed status",
+            r"(mqtt_?)?(list|get|show)_?(active_?)?subscriptions|get_?subscribed_?topics|(mqtt_?)?(connection_?)?status",
+            _subscriptions,
+        ),
         "node_birth": plain("node birth", r"(publish|send)?_?(sparkplug_?)?(node_?birth|nbirth)"),
         "node_data": plain("node data", r"(publish|send)?_?(sparkplug_?)?(node_?data|ndata)"),
         "node_death": plain("node death", r"(publish|send)?_?(sparkplug_?)?(node_?death|ndeath)"),

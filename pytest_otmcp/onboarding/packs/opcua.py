@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -20,10 +20,13 @@ from ..proposal import Proposal, Shown
 
 __all__ = ["PACK"]
 
-_VALVE = "ns=2;s=ValvePosition"
+_VALVE, _SENSOR = "ns=2;s=ValvePosition", "ns=2;s=Temperature"
+"""A variable that may be written, and one that may not."""
 _MISSING_NODE = "ns=2;i=99999"
+_BAD = "Bad"
+"""How the names of status codes begin that say of a failure (OPC 10000-4, section 7.39)."""
 _NAMESPACE = "2:"
-"""Prefix of the mock device's browse names when they are written with their namespace."""
+"""Prefix of the mock device's browse names when they are written with their namespace (OPC 10000-6, section 5.1.12)."""
 
 
 async def _read(experimenter: Experimenter, guess: Guess) -> Proposal:
@@ -47,6 +50,8 @@ async def _read_many(experimenter: Experimenter, guess: Guess) -> Proposal:
     seen = all(any(f"ns=2;s={name}" in str(entry) for entry in shown.entries) for name in names)
     proposal = experimenter.propose(guess, shown, proven=seen, seen="a Read of both nodes" if seen else "")
     experimenter.locate(proposal, "values", values)
+    if seen:
+        experimenter.provoke(proposal, "illegal_address", nodes=["ns=2;s=Temperature", _MISSING_NODE])
     return proposal
 
 
@@ -113,6 +118,24 @@ async def _write(experimenter: Experimenter, guess: Guess) -> Proposal:
     if proven:
         experimenter.locate_echo(proposal, "value", value)
         experimenter.provoke(proposal, "type_mismatch", node=_VALVE, value="fully open")
+        experimenter.provoke(proposal, "not_writable", node=_SENSOR, value=value)
+    return proposal
+
+
+async def _write_many(experimenter: Experimenter, guess: Guess) -> Proposal:
+    proposal = await every_write("write_many")(experimenter, guess)
+    if not proposal.proven:
+        return proposal
+    value = round(experimenter.random.uniform(10.0, 90.0), 2)
+    items = [{"node_id": node, "value": value} for node in (_VALVE, _SENSOR)]
+    shown = await experimenter.call(guess, proposal.offset, items=items)
+    for form, rule, found in lists_in(shown.message or {}, shown.told):
+        if [_BAD in status for status in found] == [False, True]:
+            proposal.form, proposal.outputs["statuses"] = form, rule
+            proposal.evidence.append("of two writes it said by 'statuses' which one the device refused")
+            return proposal
+    if shown.message is not None:
+        proposal.failures.append(("not_writable", shown.message))
     return proposal
 
 
@@ -134,8 +157,8 @@ def _locate_all(
     Args:
         other: what another call showed, and the texts that have to be at the same place in its answer.
     """
-    for form, rule, found in lists_in(proposal.good or {}, _NAMESPACE, proposal.told):
-        if set(found) == expected and (other is None or _is_there(form, rule, *other)):
+    for form, rule, found in lists_in(proposal.good or {}, proposal.told):
+        if _plain(found) == expected and (other is None or _is_there(form, rule, *other)):
             proposal.form = proposal.form or form
             if form == proposal.form:
                 proposal.outputs[output] = rule
@@ -146,7 +169,11 @@ def _locate_all(
 
 def _is_there(form: str, rule: Mapping[str, object], shown: Shown, expected: set[str]) -> bool:
     found = Sample(message=shown.message or {}, expected=None, told=shown.told).read(form, rule)
-    return isinstance(found, list) and set(found) == expected
+    return isinstance(found, list) and _plain(found) == expected
+
+
+def _plain(names: Iterable[object]) -> set[str]:
+    return {str(name).removeprefix(_NAMESPACE) for name in names}
 
 
 def _told(entry: JournalEntry) -> tuple[str, dict[str, object]] | None:
@@ -192,7 +219,7 @@ PACK = Pack(
         "write_many": plain(
             "write multiple nodes",
             r"(opcua_?)?write_?(multiple|many|batch)_?(opcua_?)?(nodes|values)?",
-            every_write("write_many"),
+            _write_many,
         ),
         "call_method": plain("call method", r"(opcua_?)?call_?(opcua_?)?method"),
     },
@@ -210,6 +237,7 @@ PACK = Pack(
     samples=_samples,
     errors={
         "illegal_address": (r"BadNodeIdUnknown|0x8034",),
+        "not_writable": (r"BadNotWritable|0x803B",),
         "type_mismatch": (r"BadTypeMismatch|[Tt]ype.?[Mm]ismatch|could not convert",),
     },
 )
