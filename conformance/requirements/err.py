@@ -254,7 +254,7 @@ async def _refused_client(run: Repetition, mqtt: Rig, code: WireCode) -> None:
     await mqtt.device.fault()
     told = [entry for entry in reply.during(await mqtt.journal()) if entry["kind"] == "CONNACK"]
     # An adapter that waits before it connects again was not refused during this call.
-    codes = code.codes if told else (*code.codes, "connect_failed", "connection_lost")
+    codes = code.codes if told else tuple(dict.fromkeys((*code.codes, "connect_failed", "connection_lost")))
     run.fails(reply, *codes, requirement="ERR-004")
     await answers_again(run, mqtt)
 

@@ -139,7 +139,7 @@ async def starts_without_its_device(run: Repetition, at: Rig) -> None:
     # The device began a journal of its own when it was started; the connection may be one whose owner is known by what it says alone.
     came = [await at.wait_for(timeout_s=0.0, **match) for match in ({"kind": "CONNECTED"}, {"request": True})]
     if reply.success and at.subject.claims("recovery") and not any(came):
-        message = f"{at.protocol}: a read succeeded after the device was started, which saw no connection"
+        message = f"{reply.label}: it succeeded after the device was started, which saw no connection"
         run.finding("no_exchange", message, requirement="MCP-002")
 
 

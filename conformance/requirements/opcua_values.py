@@ -101,6 +101,11 @@ def said_by(found: object, value: object) -> bool:
     return any(same_json(leaf, value) for leaf in leaves(found))
 
 
+def _words(leaf: object) -> list[str]:
+    """Return the words of a text; a status code may be said as ``BadSensorFailure (0x808C0000)``."""
+    return leaf.replace("(", " ").replace(")", " ").split() if isinstance(leaf, str) else []
+
+
 def as_said(kind: str, value: object, reply: Reply) -> object:
     """Return what the output ``value`` of a reply has to be, for a value of this built-in type.
 
@@ -170,7 +175,9 @@ def further_types(rng: random.Random) -> list[Typed]:
         Typed(
             kind="StatusCode",
             values=("BadSensorFailure",),
-            same=lambda found, value: said_by(found, value) or said_by(found, 0x808C0000),
+            same=lambda found, value: (
+                said_by(found, 0x808C0000) or any(value in _words(leaf) for leaf in leaves(found))
+            ),
         ),
     ]
 

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 
 from pytest_otmcp.core.strict_json import Wide, same_json
@@ -26,6 +27,9 @@ FORMATS = {
 
 WIDE = tuple(kind for kind in FORMATS if not kind.endswith("16"))
 """Types of several registers."""
+
+_LONG = re.compile(r"-?\d{16,}")
+"""An integer beyond those that every reader of JSON reads alike (RFC 8259, section 6)."""
 
 ORDERS = ("ABCD", "CDAB", "BADC", "DCBA")
 
@@ -51,6 +55,9 @@ def same_bits(value: object, wanted: float, kind: str) -> bool:
     """Tell whether a number of an answer has the bits of the wanted one in this type."""
     if kind in ("int64", "uint64") and same_json(Wide(int(wanted)), value):
         return True
+    if isinstance(value, str) and kind in ("float32", "float64") and _LONG.fullmatch(value):
+        # An integer that a text has, and that not every reader of JSON reads alike, is given as its digits.
+        value = int(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     try:

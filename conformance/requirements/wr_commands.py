@@ -9,6 +9,8 @@ from pytest_otmcp.trial.rig import Rig
 
 from ..commanded import carried_out
 from ..within import allowed, commanding, exercise
+from .provoked import expect_failure
+from .steps import faulty, refusal, relayed
 
 __all__ = ["TASKS"]
 
@@ -22,15 +24,30 @@ _DRAWN = 5
     "WR-014", "A named command does what the subject file states.", reads=False, writes=True, facets="commands"
 )
 async def commands_have_their_effect(run: Repetition, at: Rig) -> None:
-    """Call every named command with every value of a list, with the ends of a range, and with values drawn at random.
+    """Call every named command with every value of a list, with the ends of a range, and with values drawn at random. Call one of several
+    effects while the device refuses every write, if it can.
 
-    Said: success.
+    Said: success; a failure of what the device has refused.
     Seen: one request for each call, with the effect that the subject file states, or one for each of its effects, in their order; where the
         device holds values, it holds these, and everything else is as it was.
     Why: an assistant knows a lamp or a pump by its name alone, and cannot see which register that is.
     """
     for asked in _every_command(run, at):
         await carried_out(run, at, asked, requirement="WR-014")
+    for operation, command in at.commands():
+        asked = commanding(at, exercise(at), operation, command.drawn(run.rng))
+        # A command of one effect stands for a write in the rows about refusals.
+        if asked.then and allowed(at, asked):
+            await _refused(run, at, asked)
+
+
+async def _refused(run: Repetition, at: Rig, asked: Asked) -> None:
+    await at.prove()
+    await at.device.fault(*faulty(exercise(at).writes, **refusal(at)))
+    reply = await at.call(asked.operation, **asked.inputs)
+    await at.device.fault()
+    if relayed(at, reply.during(await at.journal())):
+        expect_failure(run, reply, requirement="WR-014")
 
 
 def _every_command(run: Repetition, at: Rig) -> list[Asked]:

@@ -37,7 +37,17 @@ __all__ = ["run"]
 
 _INSTALL_S = 900
 _LOG, _SAID = "log.txt", 400
-_KEPT = ("PATH", "HOME", "USER", "LANG", "TMPDIR", "LD_LIBRARY_PATH", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE")
+_KEPT = (
+    "PATH",
+    "HOME",
+    "USER",
+    "LANG",
+    "TMPDIR",
+    "LD_LIBRARY_PATH",
+    "SSL_CERT_FILE",
+    "REQUESTS_CA_BUNDLE",
+    "NODE_EXTRA_CA_CERTS",
+)
 _KEPT_PREFIXES = (
     "PIP_",
     "UV_",

@@ -20,9 +20,11 @@ from .text import clipped
 __all__ = ["InWords", "due", "in_words"]
 
 _LETTERS = 160
-_NO_REPLY = "no_reply"
+_NO_REPLY = ("no_reply", "session_lost")
 _OF_NO_CALL = {"cannot_start", "start_timeout", "does_not_exit", "stdout_noise", "leak", "connections_left"}
 """Codes of findings about a process or a session: no call of it shows them."""
+_NO_REQUESTS = ("malformed", "lost")
+"""Kinds of what an adapter sent that is no request: bytes that mean nothing, and those on a connection whose end has vanished."""
 _LABEL = 160
 """Letters of a call's name at the beginning of a finding."""
 _SHOWN = 3
@@ -88,7 +90,7 @@ def in_words(
         return None
     named = [call for call in calls if message.startswith(f"{_label(call)}: ")]
     known = finding_codes().get(code)
-    if code == _NO_REPLY:
+    if code in _NO_REPLY:
         named = [call for call in named if call.get("latency_ms") is None] or named
     elif known is not None and known.contradicts:
         named = [call for call in named if _claims_success(call)] or named
@@ -100,12 +102,17 @@ def in_words(
     call = call or next((call for call in calls if call["role"] == "task"), calls[0])
     during = [entry for entry in requests if _during(call, entry)]
     # What is no request reached it all the same.
-    during = during or [entry for entry in entries if entry.get("kind") == "malformed" and _during(call, entry)]
-    shown = [entry for entry in during if entry.get("state_changing")] or during
+    during = during or [entry for entry in entries if entry.get("kind") in _NO_REQUESTS and _during(call, entry)]
+    # What is told too early comes after the answer.
+    late = [entry for entry in requests if evidence and _described(entry) in evidence and not during]
+    shown = [entry for entry in during if entry.get("state_changing")] or during or late
     return InWords(
         asked=clipped(f"{call.get('tool')} {_json(_shortened(call.get('arguments')))}", _LETTERS) + _launched(call),
         said=clipped(_said(call), _LETTERS),
-        seen=tuple(clipped(_described(entry), _LETTERS) for entry in shown[:_SHOWN]),
+        seen=tuple(
+            clipped(f"{'' if during else '(after the answer) '}{_described(entry)}", _LETTERS)
+            for entry in shown[:_SHOWN]
+        ),
         more_seen=max(0, len(shown) - _SHOWN),
     )
 
@@ -176,6 +183,8 @@ def _label(call: Mapping[str, Any]) -> str:
 
 
 def _described(entry: Mapping[str, Any]) -> str:
+    if entry.get("kind") == "lost":
+        return f"{entry.get('count')} bytes on a connection whose other end has vanished"
     protocol = protocols().get(str(entry.get("protocol")))
     try:
         return str(entry.get("kind")) if protocol is None else protocol.describe(cast(JournalEntry, entry))

@@ -77,7 +77,7 @@ class Provable(Protocol):
         ...
 
 
-_AFTER_AN_OUTAGE = "It was proven to talk to it before: it has lost its device and did not find it again."
+_AFTER_AN_OUTAGE = "It was proven to talk to it before: it has lost its device, and has not found it again."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,7 +238,7 @@ def _unprovable(at: Provable, *, arrived: bool) -> str:
         arrival += "that counted until a write that it reported did not reach the mock" if arrived else "it made none"
     return (
         f"{at.protocol}: nothing is written before a read has shown that the adapter talks to the mock device at {at.device.url}, and the "
-        f"subject file binds none: bind {ways}{arrival}"
+        f"subject file binds none that can be asked for what shows it: bind {ways}{arrival}"
     )
 
 

@@ -118,7 +118,11 @@ def modbus_valves(lie: str | None, read_only: bool) -> Shape:
         async def write() -> None:
             steps = [amount, lambda: coil(START_BATCH, True)]
             for step in reversed(steps) if lie == "starts-first" else steps:
-                await step()
+                try:
+                    await step()
+                except Failure:
+                    if lie != "starts-regardless":
+                        raise
             if lie == "starts-again":
                 await steps[-1]()
 

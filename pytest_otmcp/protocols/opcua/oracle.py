@@ -33,6 +33,7 @@ __all__ = [
     "nothing_changed_by",
     "only_changed",
     "performed",
+    "open_points",
     "points_left",
     "reached",
     "read_from_device",
@@ -246,7 +247,7 @@ def written_as(
     shown = ", ".join(f"{held!r} as {found}" for held, found in written)
     return [
         Finding(
-            code="wrong_type",
+            code="device_differs" if kind in (found for _, found in written) else "wrong_type",
             message=f"the server should have seen a Write of {value!r} to {node} as {kind}, it saw {shown or 'none'}",
             requirement="OUA-001",
             evidence=_WITNESS.seen(entries),
@@ -269,11 +270,20 @@ def written_with(entries: Entries) -> list[Finding]:
     return [*statuses_written, *_timestamps_written(entries)]
 
 
-def points_left(entries: Entries) -> list[Finding]:
-    """Expect that the session has no continuation point open when the server has sent its last answer."""
+def open_points(entries: Entries) -> int:
+    """Return how many continuation points the session had open when the server sent its last answer."""
     pages = [entry for entry in entries if entry["direction"] == "out" and entry["kind"] in ("Browse", "BrowseNext")]
-    left = as_opcua(pages[-1]).get("open_points", 0) if pages else 0
-    if not left:
+    return as_opcua(pages[-1]).get("open_points", 0) if pages else 0
+
+
+def points_left(entries: Entries, *, before: int = 0) -> list[Finding]:
+    """Expect that the session has no further continuation point open when the server has sent its last answer.
+
+    Args:
+        before: how many were open before these entries.
+    """
+    left = open_points(entries) - before
+    if left <= 0:
         return []
     return [
         Finding(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ...core import AdapterServer, Call
+from ...core import AdapterError, AdapterServer, Call
 from ...modbus.shapes import WriteCoil, WriteRegister
 from ..any_protocol import guard_after_sending
 from ..defect import Change, Data, Defect, Handler, around, defect, tools_of
@@ -71,6 +71,22 @@ def batch_by(*requests: str) -> Change:
         instead(server)
 
     return apply
+
+
+def begun_regardless(server: AdapterServer) -> None:
+    """The defect that a batch is said to have begun, whatever the device answered."""
+
+    @around(_BATCH)
+    async def instead(genuine: Handler, call: Call, arguments: Any) -> Data:
+        try:
+            done: Data = await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code != "device_failure":
+                raise
+            return {"done": f"a batch of {arguments.litres} litres has begun"}
+        return done
+
+    instead(server)
 
 
 def kitchen_alone(server: AdapterServer) -> None:
@@ -187,6 +203,14 @@ DEFECTS: tuple[Defect, ...] = (
         batch_by("litres", "start", "start"),
         "WR-004 WR-014",
         "WR-003 WR-014",
+        named=True,
+    ),
+    defect(
+        "MU-16ns",
+        "modbus",
+        "A batch that the device has refused is said to have begun.",
+        begun_regardless,
+        "WR-014",
         named=True,
     ),
     defect(
