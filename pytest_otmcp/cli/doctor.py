@@ -215,6 +215,7 @@ async def _examine(adapter: Adapter, variant: str, isolation: Isolation, say: Ca
     from ..subject.model import READ_WRITE, SECURE_FORM
     from ..subject.tools import unbound
     from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
+    from ..trial.proving import ARRIVAL
     from ..trial.session_proof import prove_session
 
     program = adapter.variants[variant].command[0]
@@ -254,9 +255,13 @@ async def _examine(adapter: Adapter, variant: str, isolation: Isolation, say: Ca
                 f"{variant}: nothing is bound to {', '.join(unknown)}; no run judges what they answer, and a pass says nothing about it"
             )
         problem = await prove_session(under_test)
-        say(
-            f"{variant}: {problem or 'a random value went between the mock device and the adapter: it talks to the mock'}"
+        weak = {way.operation for way in protocols()[adapter.protocol].proof.ways if way.weak} | {ARRIVAL}
+        shown = (
+            "the adapter has reached the mock device"
+            if under_test.cursor.proven in weak
+            else "a random value went between the mock device and the adapter"
         )
+        say(f"{variant}: {problem or f'{shown}: it talks to the mock'}")
         return _keeps_secrets(under_test, variant, say) and problem is None
     except SubjectError as failure:
         say(f"{variant}: {failure}")

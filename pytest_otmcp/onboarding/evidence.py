@@ -43,9 +43,11 @@ that was made; "offline" and "not connected" are said of both."""
 
 CONNECT_FAILED = (rf"(?is)^(?!.*({_LOST})).*({_NOT_MADE})",)
 CONNECTION_LOST = (rf"(?is)^(?!.*({_NOT_MADE})).*({_LOST})",)
-TIMEOUT = (rf"(?is)^(?!.*({_NOT_MADE}|{_LOST})).*(\btime[ds]?[ -]?out|no (response|answer|reply)\b)",)
+TIMEOUT = (
+    rf"(?is)^(?!.*({_NOT_MADE}|{_LOST}|keep.?alive|selection)).*(\btime[ds]?[ -]?out|no (response|answer|reply)\b)",
+)
 """Patterns of the texts in which adapters of any protocol say that their device cannot be reached, that the connection with it broke, and
-that it did not answer in time. A text that says two of these has no code."""
+that it did not answer in time. A text that says two of these has no code; what a device says that it has itself waited for is none."""
 
 _BESIDE = {"connect_failed": ("connection_lost",)}
 """Codes of failures that may come in the place of another one: an adapter whose device has gone may say that it has just lost it."""

@@ -708,6 +708,18 @@ def test_what_a_finding_about_the_device_shows_is_the_call_that_gave_its_value()
     assert other.asked == 'write_register {"address": 1, "value": 63409}'
 
 
+def test_bytes_into_a_dead_connection_and_what_came_too_late_are_what_the_device_saw() -> None:
+    call = {"ok": False, "tool": "read", "role": "task", "latency_ms": 1.0, "sent_ns": 0, "received_ns": 10}
+    told = in_words([call], [{"kind": "lost", "t_ns": 5, "count": 12, "request": False}])
+    assert told is not None
+    assert told.seen == ("12 bytes on a connection whose other end has vanished",)
+    entry = {"protocol": "modbus", "kind": "request", "request": True, "unit": 1, "function": 6, "t_ns": 15}
+    late = {**entry, "address": 20, "quantity": 1, "values": [7]}
+    told = in_words([call], [late], "told too early", "told_too_early", "FC 06 address 20 quantity 1 values [7]")
+    assert told is not None
+    assert told.seen == ("(after the answer) FC 06 address 20 quantity 1 values [7]",)
+
+
 def test_what_a_finding_shows_of_the_device_is_shown_with_the_call_during_which_it_came() -> None:
     asked = {"ok": True, "tool": "write_register", "role": "task", "latency_ms": 1.0}
     other_unit = {**asked, "arguments": {"address": 20, "value": 7}, "sent_ns": 0, "received_ns": 10}

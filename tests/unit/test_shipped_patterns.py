@@ -24,7 +24,7 @@ from pymodbus.pdu import ExceptionResponse
 
 from conformance.requirements import adr
 from pytest_otmcp.core.error_registry import WireCode, registry, wire_codes
-from pytest_otmcp.onboarding.evidence import CONNECT_FAILED, CONNECTION_LOST
+from pytest_otmcp.onboarding.evidence import CONNECT_FAILED, CONNECTION_LOST, TIMEOUT
 from pytest_otmcp.onboarding.pack import load_pack
 from pytest_otmcp.protocols.registry import protocols
 
@@ -36,7 +36,12 @@ Failure = tuple[str, tuple[str, ...]]
 
 def patterns(protocol: str) -> list[tuple[str, str]]:
     """Return every pattern that a file for the protocol may hold, with its code."""
-    shipped = {"connect_failed": CONNECT_FAILED, "connection_lost": CONNECTION_LOST, **load_pack(protocol).errors}
+    shipped = {
+        "connect_failed": CONNECT_FAILED,
+        "connection_lost": CONNECTION_LOST,
+        "timeout": TIMEOUT,
+        **load_pack(protocol).errors,
+    }
     return [(pattern, code) for code, several in shipped.items() for pattern in several]
 
 
