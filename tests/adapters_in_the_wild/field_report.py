@@ -1,7 +1,8 @@
 """``python -m tests.adapters_in_the_wild.field_report``: writes the generated sections of ``docs/field-report.md`` anew, and the page of
 each adapter in ``docs/field-report/``.
 
-``… field_report from FLEET`` takes the records of a fleet of ``docs/examples/fleet.toml`` before that.
+``… field_report from FLEET`` takes the records of a fleet of ``docs/examples/fleet.toml`` before that; ``… field_report judge [NAME…]``
+judges the records' evidence by this kit.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from tests.soundness.document import with_section
 
 from .examples import NAMES
 from .page import adapter_page, matrix, side_by_side, table
-from .records import recorded, stored, take
+from .records import judge_again, recorded, stored, take
 
 __all__ = ["DOCS", "pages"]
 
@@ -37,9 +38,12 @@ def main() -> None:
     commands.add_parser("from", help="take the records of a fleet, then write the pages").add_argument(
         "fleet", type=Path
     )
+    again = commands.add_parser("judge", help="judge the evidence of the records by this kit, then write the pages")
+    again.add_argument("name", nargs="*", default=recorded())
     args = parser.parse_args()
-    for sentence in take(args.fleet) if args.command else ():
-        print(sentence)
+    said = {"from": lambda: take(args.fleet), "judge": lambda: judge_again(args.name)}.get(args.command, tuple)
+    for sentence in said():
+        print(sentence, flush=True)
     for name, text in pages().items():
         (DOCS / name).write_text(text, encoding="utf-8")
 

@@ -6,10 +6,11 @@ import gzip
 import lzma
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
+from pytest_otmcp.core.text import counted
 from pytest_otmcp.fleet.lines import lines
 from pytest_otmcp.fleet.outcome import RECORD
 from pytest_otmcp.fleet.plan import RUNS, read_plan
@@ -18,8 +19,9 @@ from pytest_otmcp.record.reader import open_record
 from pytest_otmcp.record.schema import Run
 
 from .examples import EXAMPLES
+from .rejudged import rejudged
 
-__all__ = ["RECORDS", "REPS", "recorded", "stored", "take"]
+__all__ = ["RECORDS", "REPS", "judge_again", "recorded", "stored", "take"]
 
 REPS = 30
 """Repetitions of the records: the paper's matrix."""
@@ -57,6 +59,22 @@ def take(fleet: Path) -> Iterator[str]:
         with gzip.open(fleet / RUNS / str(row.key) / RECORD) as record:
             _place(row.id).write_bytes(lzma.compress(record.read(), preset=9))
         yield f"{row.id}: {row.outcome}"
+    stored.cache_clear()
+
+
+def judge_again(names: Iterable[str]) -> Iterator[str]:
+    """Judge the evidence of records by this kit, and keep what it says; say of each what became of it."""
+    for name in names:
+        with tempfile.TemporaryDirectory() as directory:
+            plain, fresh = Path(directory, "run.json"), Path(directory, "again.json")
+            plain.write_bytes(lzma.decompress(_place(name).read_bytes()))
+            with open_record(plain) as run:
+                changed, objections = rejudged(run, fresh)
+            if objections:
+                yield f"{name}: has to be measured again, its record stays as it is: {objections[0]}"
+                continue
+            _place(name).write_bytes(lzma.compress(fresh.read_bytes(), preset=9))
+            yield f"{name}: {counted(changed, 'difference')}"
     stored.cache_clear()
 
 

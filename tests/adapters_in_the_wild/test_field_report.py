@@ -11,15 +11,19 @@ import pytest
 from pytest_otmcp.core.matrix import BENCHMARK, SUITES
 from pytest_otmcp.fleet.outcome import Outcome, Result, judged, pack, write_result
 from pytest_otmcp.fleet.plan import RUNS, planned, write_plan
+from pytest_otmcp.record.reader import open_record
 from pytest_otmcp.record.schema import Run
+from pytest_otmcp.replay.rejudge import differences
 from pytest_otmcp.report.causes import causes
 from pytest_otmcp.report.verdict_file import verdict
 from pytest_otmcp.subject import load_subject
+from tests.stored_runs import store
 
+from . import records
 from .examples import EXAMPLES, NAMES, sources
 from .field_report import DOCS, pages
 from .page import side_by_side
-from .records import RECORDS, REPS, recorded, stored, take
+from .records import RECORDS, REPS, judge_again, recorded, stored, take
 from .wire import wire
 
 
@@ -61,6 +65,33 @@ def test_the_records_of_a_fleet_are_taken(tmp_path: Path, monkeypatch: pytest.Mo
     assert len(said) == len(NAMES)
     assert [path.name for path in taken.iterdir()] == [f"{name}.json.xz"]
     assert stored(name)["subject"]["version"] == version
+
+
+@pytest.mark.long
+def test_a_record_is_judged_again_by_its_evidence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "industriagents-profinet-mcp"
+    with open_record(_plain(name, tmp_path)) as run:
+        items: list[Any] = [{**item.head, "samples": list(item.samples())} for item in run.items()]
+        record = {**run.header, "items": items, "footer": run.footer}
+    accused = next(item for item in items if item["findings"])
+    told = accused["findings"][0]["message"]
+    accused["findings"][0]["message"] = accused["samples"][0]["findings"][0]["message"] = (
+        "a judge of long ago said this"
+    )
+    changed = store(tmp_path / "changed.json", record)
+    monkeypatch.setattr("tests.adapters_in_the_wild.records.RECORDS", tmp_path)
+    (tmp_path / f"{name}.json.xz").write_bytes(lzma.compress(changed.read_bytes()))
+    list(judge_again([name]))
+    with open_record(_plain(name, tmp_path)) as again:
+        assert list(differences(again)) == []
+        found = next(item.head for item in again.items() if item.head["id"] == accused["id"])
+    assert told in [finding["message"] for finding in found["findings"]]
+
+
+def _plain(name: str, folder: Path) -> Path:
+    path = folder / "plain.json"
+    path.write_bytes(lzma.decompress((records.RECORDS / f"{name}.json.xz").read_bytes()))
+    return path
 
 
 @pytest.mark.parametrize(
