@@ -14,7 +14,6 @@ from ..protocols.registry import protocols
 from ..record.schema import Finding
 from ..subject.answers import UNCLASSIFIED
 from ..subject.model import READ_WRITE
-from ..trial.alteration import DEEP, ELEMENTS, TEXT
 from .text import clipped
 
 __all__ = ["InWords", "due", "in_words"]
@@ -25,8 +24,6 @@ _OF_NO_CALL = {"cannot_start", "start_timeout", "does_not_exit", "stdout_noise",
 """Codes of findings about a process or a session: no call of it shows them."""
 _NO_REQUESTS = ("malformed", "lost")
 """Kinds of what an adapter sent that is no request: bytes that mean nothing, and those on a connection whose end has vanished."""
-_LABEL = 160
-"""Letters of a call's name at the beginning of a finding."""
 _SHOWN = 3
 
 _VALUES = re.compile(r"-?\d+(?:\.\d+)?|[0-9a-z]{6,}", re.IGNORECASE)
@@ -107,7 +104,8 @@ def in_words(
     late = [entry for entry in requests if evidence and _described(entry) in evidence and not during]
     shown = [entry for entry in during if entry.get("state_changing")] or during or late
     return InWords(
-        asked=clipped(f"{call.get('tool')} {_json(_shortened(call.get('arguments')))}", _LETTERS) + _launched(call),
+        asked=clipped(f"{call.get('tool')} {_json(told_in_words(call.get('arguments') or {}))}", _LETTERS)
+        + _launched(call),
         said=clipped(_said(call), _LETTERS),
         seen=tuple(
             clipped(f"{'' if during else '(after the answer) '}{_described(entry)}", _LETTERS)
@@ -178,8 +176,7 @@ def _said(call: Mapping[str, Any]) -> str:
 
 
 def _label(call: Mapping[str, Any]) -> str:
-    arguments = ", ".join(f"{name}={value!r}" for name, value in (call.get("arguments") or {}).items())
-    return f"{call.get('tool')}({arguments})"[:_LABEL]
+    return label(call.get("tool"), call.get("arguments") or {})
 
 
 def _described(entry: Mapping[str, Any]) -> str:
@@ -191,21 +188,6 @@ def _described(entry: Mapping[str, Any]) -> str:
     except (KeyError, TypeError):
         # A record of another kit may have entries with other members.
         return str(entry.get("kind"))
-
-
-_LARGE = {TEXT: "a text of {} characters", ELEMENTS: "a list of {} elements", DEEP: "a list that is nested {} deep"}
-
-
-def _shortened(arguments: object) -> object:
-    """Return arguments with words in the place of the values that are too large for a record, which stand for them there."""
-    if not isinstance(arguments, Mapping):
-        return arguments
-    return {
-        name: _LARGE[next(iter(value))].format(next(iter(value.values())))
-        if isinstance(value, Mapping) and len(value) == 1 and next(iter(value)) in _LARGE
-        else value
-        for name, value in arguments.items()
-    }
 
 
 def _json(value: object) -> str:

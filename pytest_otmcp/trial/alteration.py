@@ -8,11 +8,14 @@ from typing import Any
 
 from ..record.schema import Altered
 
-__all__ = ["DEEP", "ELEMENTS", "TEXT", "Alteration", "expanded", "filler"]
+__all__ = ["DEEP", "ELEMENTS", "TEXT", "Alteration", "expanded", "filler", "in_words", "label"]
 
 TEXT = "otmcp/filler"
 ELEMENTS = "otmcp/elements"
 DEEP = "otmcp/depth"
+
+_LABEL = 160
+"""Letters of a call's name in findings."""
 
 
 def filler(size: int, kind: str = TEXT) -> dict[str, int]:
@@ -51,6 +54,32 @@ class Alteration:
 def expanded(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Return arguments as they are sent: with the values that fillers stand for."""
     return {name: _expanded(value) for name, value in arguments.items()}
+
+
+class _Words(str):
+    """Words in the place of a value; they are no text of a call."""
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+_LARGE = {TEXT: "a text of {} characters", ELEMENTS: "a list of {} elements", DEEP: "a list that is nested {} deep"}
+
+
+def in_words(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arguments with words in the place of what fillers stand for."""
+    return {
+        name: _Words(_LARGE[next(iter(value))].format(next(iter(value.values()))))
+        if isinstance(value, Mapping) and len(value) == 1 and next(iter(value)) in _LARGE
+        else value
+        for name, value in arguments.items()
+    }
+
+
+def label(tool: object, arguments: Mapping[str, Any]) -> str:
+    """Return the name that a call has in findings."""
+    told = ", ".join(f"{name}={value!r}" for name, value in in_words(arguments).items())
+    return f"{tool}({told})"[:_LABEL]
 
 
 def _expanded(value: Any) -> Any:

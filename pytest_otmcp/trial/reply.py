@@ -25,6 +25,7 @@ from ..subject.answers import (
     synthesised_from_outputs,
 )
 from ..subject.model import Answering, Binding, OutputRule, placeholders
+from .alteration import label
 
 __all__ = ["UNREAD", "Expectation", "Reply", "kept_of", "observe", "replace_outputs"]
 
@@ -436,8 +437,7 @@ def _no_response(exchange: Exchange, deadline_s: float) -> Finding:
 
 
 def _label(exchange: Exchange) -> str:
-    arguments = ", ".join(f"{name}={value!r}" for name, value in exchange.arguments.items())
-    return f"{exchange.tool}({arguments})"[:160]
+    return label(exchange.tool, exchange.arguments)
 
 
 def _excerpt(frame: bytes) -> str:
