@@ -14,6 +14,8 @@ from ..protocols.registry import protocols
 from ..record.schema import Finding
 from ..subject.answers import UNCLASSIFIED
 from ..subject.model import READ_WRITE
+from ..trial.alteration import in_words as told_in_words
+from ..trial.alteration import label
 from .text import clipped
 
 __all__ = ["InWords", "due", "in_words"]
