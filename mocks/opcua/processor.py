@@ -18,7 +18,7 @@ from asyncua.server.binary_server_asyncio import OPCUAProtocol
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import SessionState
 from asyncua.server.uaprocessor import UaProcessor
-from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary
+from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary, uatcp_to_binary
 
 from pytest_otmcp.wire.framing import Framer
 from pytest_otmcp.wire.opcua import chunk_length
@@ -45,6 +45,8 @@ _WITH_NODES = frozenset(
 
 _request: ContextVar[list[bytes]] = ContextVar("request")
 """Chunks of the message that is processed."""
+
+_ON_A_CHANNEL = (ua.MessageType.SecureMessage, ua.MessageType.SecureClose)
 
 _WITHOUT_SESSION = frozenset({"CreateSession", "GetEndpoints", "FindServers"})
 _OF_ANY_SESSION = frozenset({"ActivateSession", "CloseSession", "RegisterServer", "RegisterServer2"})
@@ -91,12 +93,28 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         # The messages of the connection protocol below (Hello, Acknowledge) are left out: they are no services.
         if header.MessageType != ua.MessageType.Hello:
             self._chunks.append(body._data[: header.packet_size])
+        if header.MessageType in _ON_A_CHANNEL and not self._is_of_the_channel(header.ChannelId):
+            # The library takes the token 0 of a client that is about to open its channel, and loses its own by that.
+            return self._ended(ua.StatusCodes.BadTcpSecureChannelUnknown)
         try:
             return bool(await super().process(header, body))
+        except ua.UaError:
+            # The library is silent, and answers nothing on this connection from then on.
+            return self._ended(ua.StatusCodes.BadSecurityChecksFailed)
         finally:
             # It has no answer, so nothing else records it.
             if header.MessageType == ua.MessageType.SecureClose:
                 self._exchange("CloseSecureChannel", 0, self._taken()).asked()
+
+    def _is_of_the_channel(self, number: int) -> bool:
+        connection = self._connection
+        return bool(connection.is_open()) and number == connection.security_token.ChannelId
+
+    def _ended(self, code: int) -> bool:
+        """Tell the client why the connection ends (OPC 10000-6, sections 6.7.2.4 and 7.1.2.5); return False, which ends it."""
+        self._exchange("", 0, self._taken()).asked()
+        self._transport.write(uatcp_to_binary(ua.MessageType.Error, ua.ErrorMessage(Error=ua.StatusCode(code))))
+        return False
 
     def _taken(self) -> list[bytes]:
         """Return the chunks of the message that has arrived."""

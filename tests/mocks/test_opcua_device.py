@@ -513,6 +513,24 @@ async def test_sessions_are_counted_and_limited(device: MockProgram, connect: Co
     assert await device.control.journal(mark, kind="CloseSession") == []
 
 
+@pytest.mark.parametrize("opened", [False, True])
+async def test_a_message_of_no_channel_ends_its_connection_with_the_reason(device: MockProgram, opened: bool) -> None:
+    client = Client(f"opc.tcp://{device.host}:{device.port}", timeout=PATIENCE_S)
+    await client.connect_socket()
+    await client.send_hello()
+    if opened:
+        await client.open_secure_channel()
+        client.uaclient.protocol._connection.security_token.ChannelId += 1
+    request = ua.ReadRequest()
+    request.Parameters.NodesToRead = [ua.ReadValueId(NodeId=ua.NodeId(2258), AttributeId=ua.AttributeIds.Value)]
+    mark = await device.control.next()
+    answer = client.uaclient.protocol._send_request(request)
+    await device.control.wait(mark, kind="DISCONNECTED")
+    with pytest.raises((ConnectionError, ua.UaError, asyncio.CancelledError)):
+        await answer
+    client.disconnect_socket()
+
+
 async def test_a_phantom_write_is_acknowledged_and_not_done(device: MockProgram, client: Client) -> None:
     await device.control.fault({"ack_only": True}, service="Write")
     assert await write(client, "FanSpeed", 77.0, ua.VariantType.Double) == "Good"
