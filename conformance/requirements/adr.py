@@ -143,10 +143,12 @@ async def _refused(
     seen = reply.during(await at.journal())
     # An adapter with a list of its own targets says that this one is not on it.
     unlisted = () if seen else ("access_denied",)
-    codes = (*_OUTSIDE, *nobody, *relayed(at, seen), *unlisted)
+    told = relayed(at, seen)
+    codes = (*_OUTSIDE, *nobody, *told, *unlisted)
     outcomes = (*NOTHING_SENT, "rejected", *(("unknown",) if nobody else ()))
     run.fails(reply, *codes, outcome=outcomes, requirement="ADR-002", code_requirement="ERR-002")
-    if reply.error_code not in nobody:
+    # Where there is nobody the device says so itself, whichever code the adapter has for that.
+    if not {reply.error_code, *told} & {*nobody}:
         run.witnessed(nothing_arrived(at, seen, requirement="ADR-002"))
 
 

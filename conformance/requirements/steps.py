@@ -127,6 +127,8 @@ async def reads_soon(run: Repetition, at: Rig, asked: Asked, *, requirement: str
         asked.operation, window_s=at.subject.recovery_s, from_first_call=True, **asked.inputs
     )
     run.succeeds(replies[-1], requirement=requirement, **asked.outputs)
+    if replies[-1].success and (known := protocols()[at.protocol].exercise) is not None and known.waiting is not None:
+        await _over_a_connection_that_lives(run, at, replies[-1], requirement or "REC-001")
 
 
 def faulty(conditions: Iterable[Mapping[str, object]], **action: object) -> list[Mapping[str, object]]:

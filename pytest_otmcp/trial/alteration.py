@@ -79,7 +79,8 @@ def in_words(arguments: Mapping[str, Any]) -> dict[str, Any]:
 def label(tool: object, arguments: Mapping[str, Any]) -> str:
     """Return the name that a call has in findings."""
     told = ", ".join(f"{name}={value!r}" for name, value in in_words(arguments).items())
-    return f"{tool}({told})"[:_LABEL]
+    whole = f"{tool}({told})"
+    return whole if len(whole) <= _LABEL else f"{whole[: _LABEL - 2]}…)"
 
 
 def _expanded(value: Any) -> Any:

@@ -113,7 +113,9 @@ async def prove(
         question = way.ask(rng)
         if not at.can_ask_first(way.operation, question.inputs):
             continue
-        attempt = await _try(at, way, question, rng, bits, int(_WINDOW_S * max(1.0, time_scale) * 1e9))
+        # Whoever was proven before may have lost the device since, and may connect again in its own time.
+        window_s = _WINDOW_S if preferred is None else max(_WINDOW_S, at.subject.recovery_s)
+        attempt = await _try(at, way, question, rng, bits, int(window_s * max(1.0, time_scale) * 1e9))
         if attempt is None:
             unlisted.add(way.operation)
             continue
