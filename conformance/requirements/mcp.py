@@ -420,7 +420,11 @@ async def types_are_not_changed(run: Repetition, at: Rig) -> None:
     asked = exercise(at).write(run.rng)
     tool, arguments = at.tool_of(asked.operation, **asked.inputs), at.arguments_of(asked.operation, **asked.inputs)
     if tool is None or not arguments:
-        run.not_applicable(f"{asked.operation} is not performed by one tool call whose arguments could be changed")
+        run.not_applicable(
+            f"{asked.operation} is not performed by one tool call"
+            if tool is None
+            else f"no argument of {tool!r} is given an input of {asked.operation} as it is"
+        )
     await at.prove()
     schema = _schema(await at.session.tools(), tool)
     before = await at.device.image()
