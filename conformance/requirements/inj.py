@@ -341,8 +341,8 @@ async def _in_arguments(run: Repetition, at: Rig, asked: Asked, hostile: _Hostil
         if not isinstance(given, str):
             continue
         for what, text in hostile.texts:
-            # A path leads nowhere behind a name.
-            told.append(text if what == _PATH else f"{given}{text}")
+            # A path leads nowhere behind a name; and what a named command is given is a part of its effect.
+            told.append(text if what == _PATH or at.by_command_alone(asked.operation) else f"{given}{text}")
             altered = Alteration(given={argument: told[-1]})
             reply = await at.call_altered(asked.operation, altered, **asked.inputs)
             found = hostile.shown_by(reply, f"{what}, in the argument {argument!r}")

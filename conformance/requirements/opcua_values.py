@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import binascii
 import random
+import re
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -101,20 +102,22 @@ def said_by(found: object, value: object) -> bool:
     return any(same_json(leaf, value) for leaf in leaves(found))
 
 
-def _words(leaf: object) -> list[str]:
+def _words(leaf: object) -> set[str]:
     """Return the words of a text; a status code may be said as ``BadSensorFailure (0x808C0000)``."""
-    return leaf.replace("(", " ").replace(")", " ").split() if isinstance(leaf, str) else []
+    return set(re.findall(r"\w+", leaf)) if isinstance(leaf, str) else set()
 
 
 def as_said(kind: str, value: object, reply: Reply) -> object:
     """Return what the output ``value`` of a reply has to be, for a value of this built-in type.
 
-    OPC 10000-6, section 5.4.2.11: in JSON a localized text may also be an object, which has the text and its locale.
+    OPC 10000-6, section 5.4.2.11: in JSON a localized text may also be an object, which has the text and its locale. In a sentence both may
+    stand side by side.
     """
     found = reply.outputs.get("value")
     if kind in ("Int64", "UInt64") and isinstance(value, int):
         return Wide(value)
-    return found if kind == "LocalizedText" and said_by(found, value) else value
+    whole = said_by(found, value) or (isinstance(found, str) and isinstance(value, str) and "" != value in found)
+    return found if kind == "LocalizedText" and whole else value
 
 
 def _named(found: object, value: str) -> bool:
@@ -176,7 +179,7 @@ def further_types(rng: random.Random) -> list[Typed]:
             kind="StatusCode",
             values=("BadSensorFailure",),
             same=lambda found, value: (
-                said_by(found, 0x808C0000) or any(value in _words(leaf) for leaf in leaves(found))
+                said_by(found, 0x808C0000) or any({value, str(0x808C0000)} & _words(leaf) for leaf in leaves(found))
             ),
         ),
     ]

@@ -56,7 +56,7 @@ async def _set(modbus: Rig, operation: str, address: int, values: Sequence[Any],
     await modbus.device.poke(unit=unit, table=TABLES[operation][0], address=address, values=list(values))
 
 
-@TASKS.check("RD-001", "What is read is what the device holds, in every table.", needs="modbus.read_holding")
+@TASKS.check("RD-001", "What is read is what the device holds, in every table.", needs="modbus.read_cells")
 async def every_table_is_read_as_it_is(run: Repetition, modbus: Rig) -> None:
     """Read cells of each table that the adapter reads; they were set at random just before. Once more with other values, and once with values
     that are nearly the same.
@@ -139,7 +139,7 @@ def _values(run: Repetition) -> Iterator[tuple[str, object]]:
     yield "LocalizedText", f"text-{run.rng.getrandbits(32):08x}"
 
 
-@TASKS.check("RD-002", "The tables are told apart.", needs="modbus.read_holding")
+@TASKS.check("RD-002", "The tables are told apart.", needs="modbus.read_cells")
 async def the_tables_are_told_apart(run: Repetition, modbus: Rig) -> None:
     """Read the same address in each table that the adapter reads, while it holds something else in each; then with each of
     them changed.

@@ -232,8 +232,21 @@ def _broken(text: str) -> bool:
 
 
 def carries(entry: JournalEntry, text: str) -> bool:
-    """Tell whether a request has this text in it, whole: as it is, or as bytes in base64 or hexadecimal."""
+    """Tell whether a request has this text in it, whole: as it is, as bytes in hexadecimal or base64, or within such bytes, also within a
+    document of JSON there."""
     shown = json.dumps(entry, ensure_ascii=False, default=str)
     content = text.encode("utf-8", "surrogatepass")
     forms = (json.dumps(text, ensure_ascii=False)[1:-1], base64.b64encode(content).decode(), content.hex())
-    return any(form in shown for form in forms)
+    within = (
+        content,
+        *(json.dumps(text, ensure_ascii=only)[1:-1].encode("utf-8", "surrogatepass") for only in (True, False)),
+    )
+    decoded = [data for value in entry.values() if (data := _decoded(value)) is not None]
+    return any(form in shown for form in forms) or any(form in data for data in decoded for form in within)
+
+
+def _decoded(value: object) -> bytes | None:
+    try:
+        return base64.b64decode(value, validate=True) if isinstance(value, str) else None
+    except ValueError:
+        return None

@@ -193,11 +193,11 @@ def _sent(entries: Entries, allowed: Collection[str]) -> list[JournalEntry]:
 
 
 def _in_clear(at: Rig, entries: Entries) -> list[JournalEntry]:
-    """Return what came in clear: of no handshake, or over a connection without one."""
+    """Return what came in clear: of no handshake, or over a connection without one. What nobody can read was not sent in clear."""
     refused = [entry for entry in entries if entry["kind"] == "tls_plaintext"]
     opened = {entry["connection"] for entry in entries if entry["kind"] == "tls_open"}
     made = {entry["connection"] for entry in entries if entry["kind"] == "CONNECTED"} - opened
-    allowed = _NO_DATA.union(protocols()[at.protocol].discovery)
+    allowed = _NO_DATA.union(protocols()[at.protocol].discovery, {"malformed"})
     return [*refused, *(entry for entry in _sent(entries, allowed) if entry["connection"] in made)]
 
 

@@ -123,7 +123,7 @@ def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
                 if family in unclaimed
                 else _also_away(
                     heading,
-                    _grade(ids.get(family, ()), items, losing.get(family, ()), family in claiming),
+                    _of_values(heading, _grade(ids.get(family, ()), items, losing.get(family, ()), family in claiming)),
                     away.get(family, ()),
                     items,
                 )
@@ -210,6 +210,22 @@ def _has(facts: Mapping[str, Any], name: str, operation: Operation) -> bool:
     if name in facts.get("unclaimed", {}):
         return False
     return not operation.voluntary or name in facts.get("offered", ())
+
+
+def _of_values(heading: Heading, found: Earned) -> Earned:
+    """Return the grade of a capability, which for reading is about values: that the device can be reached is none."""
+    if heading is not _HEADINGS[Capability.READING] or found.grade is not Grade.EARNED:
+        return found
+    if not all(map(_is_about_status, found.because)):
+        return found
+    return Earned(grade=Grade.NOT_ASKED, without=(*found.because, *found.without))
+
+
+def _is_about_status(identifier: str) -> bool:
+    task = all_tasks().get(identifier)
+    needs = [] if task is None else [facet.partition(".") for facet in task.needs]
+    known = [protocols()[protocol].operations.get(name) for protocol, _, name in needs if protocol in protocols()]
+    return bool(known) and all(operation is not None and operation.status for operation in known)
 
 
 def _also_away(heading: Heading, found: Earned, outages: Sequence[str], items: Mapping[str, Item]) -> Earned:

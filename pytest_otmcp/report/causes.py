@@ -169,7 +169,8 @@ def _libraries(run: Run) -> dict[str, Collection[str]]:
 def _findings(items: Iterable[Item]) -> Iterator[_Found]:
     place = 0
     for item in items:
-        around = ((None, finding) for finding in failing(item["findings"]))
+        # That an item was given up says no more than the missing replies before it.
+        around = ((None, finding) for finding in failing(item["findings"]) if finding["code"] != "gave_up")
         within = (
             (sample["repetition"], finding) for sample in item["samples"] for finding in failing(sample["findings"])
         )

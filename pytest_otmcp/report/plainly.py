@@ -24,6 +24,8 @@ _LETTERS = 160
 _NO_REPLY = ("no_reply", "session_lost")
 _OF_NO_CALL = {"cannot_start", "start_timeout", "does_not_exit", "stdout_noise", "leak", "connections_left"}
 """Codes of findings about a process or a session: no call of it shows them."""
+_SEVERAL = ("written_twice", "unasked_write")
+"""Codes of findings about requests of which one was asked for."""
 _NO_REQUESTS = ("malformed", "lost")
 """Kinds of what an adapter sent that is no request: bytes that mean nothing, and those on a connection whose end has vanished."""
 _SHOWN = 3
@@ -94,8 +96,11 @@ def in_words(
     elif known is not None and known.contradicts:
         named = [call for call in named if _claims_success(call)] or named
     requests = [entry for entry in entries if entry.get("request") and entry.get("origin", "client") == "client"]
-    calls = named or _shown(calls, requests, evidence) or _closest(calls, message)
     changing = [entry for entry in requests if entry.get("state_changing")]
+    if code in _SEVERAL:
+        # Of equal calls, the one during which it was written again.
+        named = sorted(named, key=lambda call: -sum(_during(call, entry) for entry in changing))[:1]
+    calls = named or _shown(calls, requests, evidence) or _closest(calls, message)
     call = next((call for call in calls if not call["ok"]), None)
     call = call or next((call for call in reversed(calls) if any(_during(call, entry) for entry in changing)), None)
     call = call or next((call for call in calls if call["role"] == "task"), calls[0])

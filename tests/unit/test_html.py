@@ -19,6 +19,7 @@ from typing import Any
 
 import pytest
 
+from pytest_otmcp.report.capabilities import Grade, earned
 from pytest_otmcp.report.html import page, write_html
 from pytest_otmcp.report.plainly import in_words
 from pytest_otmcp.suite.catalogue import all_tasks
@@ -402,11 +403,17 @@ def test_what_is_to_be_known_of_an_adapters_answers_is_beside_its_name() -> None
 
 
 def test_an_item_that_does_not_apply_says_why_and_takes_nothing_from_what_was_earned() -> None:
-    why = "opcua.variables is not claimed: there is no such tool"
-    unclaimed = {**item("M2", "normal", "Modbus", "Read.", []), "status": "NOT_APPLICABLE", "reason": why, "planned": 3}
-    shown = Page(page(run([M1, unclaimed]))).text
-    assert f"M2 ○ not claimed Read. {why}" in shown
-    assert "✓ earned M1 without M2" in shown
+    why = "modbus.ping is not claimed: there is no such tool"
+    unclaimed = {**item("M1", "normal", "Modbus", "Ping.", []), "status": "NOT_APPLICABLE", "reason": why, "planned": 3}
+    shown = Page(page(run([unclaimed, item("M2", "normal", "Modbus", "Read.", [2.0])]))).text
+    assert f"M1 ○ not claimed Ping. {why}" in shown
+    assert "✓ earned M2 without M1" in shown
+
+
+def test_an_adapter_of_which_a_ping_alone_was_asked_has_not_earned_reading() -> None:
+    unasked = {**item("M2", "normal", "Modbus", "Read.", []), "status": "NOT_APPLICABLE", "reason": "no tool"}
+    (_, by_family) = next(row for row in earned(run([M1, unasked])) if row[0].name == "Reading")
+    assert by_family["Modbus"].grade is Grade.NOT_ASKED
 
 
 def test_the_first_lines_say_which_run_it_is() -> None:

@@ -143,5 +143,5 @@ def test_the_adapters_of_the_documentation_are_seen_to_use_their_libraries(
 ) -> None:
     folder = Path(__file__).parents[2] / "docs" / "first-adapter" / "typescript" / protocol
     used = libraries_used(["node", "--import", "tsx", name], folder)
-    assert used.keys() == {"@modelcontextprotocol/sdk", library}
+    assert used.keys() == {"@modelcontextprotocol/sdk", "zod", library}
     assert used[library] == name

@@ -171,7 +171,15 @@ def test_what_was_interpreted_shows() -> None:
 
 
 @pytest.mark.parametrize(
-    "member", [{"topic": 'a"b'}, {"payload": "YSJi"}, {"octets": "612262"}, {"nodes": [{"node": 'ns=2;s=a"b'}]}]
+    "member",
+    [
+        {"topic": 'a"b'},
+        {"payload": "YSJi"},
+        # A document: {"text": "a\\"b", "by": "x"}
+        {"payload": "eyJ0ZXh0IjogImFcImIiLCAiYnkiOiAieCJ9"},
+        {"octets": "612262"},
+        {"nodes": [{"node": 'ns=2;s=a"b'}]},
+    ],
 )
 def test_a_request_carries_a_text_whole_in_several_forms(member: dict[str, Any]) -> None:
     assert carries(entry("write", **member), 'a"b')
