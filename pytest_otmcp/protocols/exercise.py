@@ -273,6 +273,7 @@ class Exercise:
         asks_for: returns what a request that writes asks for, as the values of ``contended`` are; None for another request.
         points_of: returns the points that the device's image holds after a write, from the operation and its inputs; none where the device
             has no such image, or where that cannot be told from the inputs alone.
+        held: returns the poke that has the mock hold another value than this one at a point; None where that is not to be had.
         recognised: by operation that writes, whether a request asks for what its inputs say: what tells the requests of one call apart. Named
             commands may have several effects of these operations.
         changing: the conditions of a fault plan that any request meets which changes the plant; empty where those are ``writes``.
@@ -318,6 +319,7 @@ class Exercise:
     texts: Texts | None = None
     device_texts: Callable[[str], tuple[DeviceText, ...]] | None = None
     points_of: Callable[[str, Mapping[str, Any]], Mapping[str, object]] = _no_points
+    held: Callable[[str, object], Poke] | None = None
     too_late: Callable[[JournalEntry], str | None] = _must_be_done
     recognised: Mapping[str, Callable[[JournalEntry, Asked], bool]] = field(default_factory=dict)
     changing: tuple[Rule, ...] = ()

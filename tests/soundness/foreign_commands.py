@@ -27,6 +27,15 @@ Write = Callable[[], Awaitable[Any]]
 _later: set[asyncio.Task[None]] = set()
 
 
+_last = [""]
+
+
+def spared(what: str) -> bool:
+    """Tell whether the same was done last, by this adapter's own memory."""
+    again, _last[0] = what == _last[0], what
+    return again
+
+
 async def carried_out(write: Write, lie: str | None, *, read_only: bool) -> None:
     """Write, or do what the lie says instead.
 
@@ -69,6 +78,8 @@ async def _until_it_is_done(write: Write) -> None:
 
 def modbus_valves(lie: str | None, read_only: bool) -> Shape:
     async def did(what: str, write: Write) -> Result:
+        if lie == "spares-the-device" and spared(what):
+            return prose(f"Done: {what}")
         try:
             await carried_out(write, lie, read_only=read_only)
         except Failure as failure:
@@ -164,6 +175,8 @@ def mqtt_lights(lie: str | None, read_only: bool) -> Shape:
             link.close()
 
     async def did(topic: str, payload: str) -> Result:
+        if lie == "spares-the-device" and spared(f"{topic} {payload}"):
+            return structured({"sent": True})
         try:
             await carried_out(lambda: asyncio.to_thread(publish, topic, payload), lie, read_only=read_only)
         except Failure as failure:

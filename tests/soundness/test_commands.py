@@ -32,6 +32,8 @@ LIES = {
     ("modbus-valves", "never-starts"): ("WR-014", "WR-014"),
     ("modbus-valves", "starts-again"): ("WR-014", "WR-003 WR-014"),
     ("modbus-valves", "starts-regardless"): ("WR-014", "WR-014"),
+    ("modbus-valves", "spares-the-device"): ("WR-014", "WR-014"),
+    ("mqtt-lights", "spares-the-device"): ("WR-014", "WR-014"),
     ("mqtt-lights", "hall-first"): ("WR-014", "WR-014"),
     ("mqtt-lights", "kitchen-alone"): ("WR-014", "WR-014"),
     ("mqtt-lights", "writes-nothing"): ("WR-014", "WR-014"),

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from ...core.strict_json import same_json
-from ..exercise import Asked, Clamped, DeviceText, Exercise, Limited, every_change
+from ..exercise import Asked, Clamped, DeviceText, Exercise, Limited, Poke, every_change
 from ..journal import JournalEntry
 from .entries import as_modbus, points
 from .tags import TAGS
@@ -151,6 +151,12 @@ def _clamped(rng: random.Random) -> Clamped:
     return Clamped(write=asked, output="value", held=highest, action={"clamp": [0, highest]})
 
 
+def _held_otherwise(point: str, value: object) -> Poke:
+    unit, table, address = point.split("/")
+    other = not value if isinstance(value, bool) else int(str(value)) ^ 1
+    return {"unit": int(unit), "table": table, "address": int(address), "values": [other]}
+
+
 def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
     table = {"holding": "holding_registers", "registers": "holding_registers", "coil": "coils", "coils": "coils"}.get(
         operation.removeprefix("write_")
@@ -198,6 +204,7 @@ EXERCISE = Exercise(
     device_texts=_device_texts,
     clamped=_clamped,
     points_of=_points_of,
+    held=_held_otherwise,
     recognised=dict.fromkeys(("write_holding", "write_registers", "write_coil", "write_coils"), _is_asked_for),
     changing=tuple({"function": function} for function in (5, 6, 15, 16, 22)),
 )

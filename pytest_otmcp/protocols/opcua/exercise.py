@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ...core.strict_json import same_json
-from ..exercise import Asked, Contended, DeviceText, Exercise, Limited, every_change
+from ..exercise import Asked, Contended, DeviceText, Exercise, Limited, Poke, every_change
 from ..journal import JournalEntry
 from ..oracle import has
 from ..point import BOOL, FLOAT64, Point
@@ -130,6 +130,11 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
     )
 
 
+def _held_otherwise(point: str, value: object) -> Poke:
+    other = not value if isinstance(value, bool) else value - 1 if isinstance(value, int | float) else f"not {value}"
+    return {"node": point.removeprefix("ns=2;s="), "value": other}
+
+
 def _points_of(operation: str, inputs: Mapping[str, Any]) -> Mapping[str, object]:
     if operation == "write":
         return {inputs["node"]: inputs["value"]}
@@ -152,6 +157,7 @@ def _refusals(entry: JournalEntry) -> list[str]:
 
 EXERCISE = Exercise(
     points_of=_points_of,
+    held=_held_otherwise,
     recognised={"write": _is_asked_for},
     changing=tuple({"service": service} for service in ("Write", "Call")),
     reading="read",
