@@ -23,7 +23,9 @@ from ..record.condensed import condensed
 from ..record.consistency import clock_faults, header_faults, settings_faults
 from ..record.reader import RecordError, StoredRun, open_record
 from ..record.schema import Kit, Run
+from ..record.tool_calls import never_called
 from ..replay.rejudge import depends_on_seed, rejudge
+from ..report.permission import not_covered
 from ..report.verdict_file import verdict
 from ..subject import comparison, load_subject
 from ..subject.model import Deviation
@@ -164,6 +166,9 @@ def _said(run: Run, why_none: Sequence[str] | None) -> Iterator[str]:
         f"verified: {_name(run)} is {run['footer'].get('verdict')}; {tell(spoken(run))}{', ' if level else ''}{level}; "
         f"{_repetitions(run)}, and judging them again found the same"
     )
+    tools = [tool for facts in run["subject"]["adapters"].values() for tool in never_called(facts)]
+    if without := not_covered(tools):
+        yield f"{without[:1].lower()}{without[1:]}: {', '.join(tools)}"
     if why_none is None:
         return
     failed = [item["id"] for item in run["items"] if item["status"] not in (Status.PASS, Status.NOT_APPLICABLE)]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import random
 import re
 from collections.abc import Callable, Iterator, Mapping, Set
 from typing import Any
 
 from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
+from ..subject.command import Draw
 from .effects import Call, Effect, effect_of
 from .evidence import tells_failure
 from .experimenter import Experimenter, NotProvenError
@@ -20,6 +22,9 @@ __all__ = ["look_for_commands"]
 
 _TOOLS, _OPTIONS, _VALUES = 12, 3, 8
 """At most so many tools are tried, so many arguments that a tool does not require, and so many values of an argument."""
+
+_STEP = 0.5
+"""From one value to the next, of a number whose schema does not say it."""
 
 _RANGE = re.compile(r"(-?\d+(?:\.\d+)?)\s*(?:-|\u2013|to|\.\.\.?|\u2026)\s*(-?\d+(?:\.\d+)?)")
 """A range in the description of an argument."""
@@ -81,7 +86,9 @@ async def _effect(
         # What the tool says of a range is about its only number.
         arguments = {**arguments, numbers[0]: {**arguments[numbers[0]], "description": tool.get("description")}}
     known = {
-        argument: [names[snake(argument)]] if snake(argument) in names else _values(argument, one)
+        argument: [names[snake(argument)]]
+        if snake(argument) in names
+        else [*_values(argument, one), *_anywhere(experimenter.random, one)]
         for argument, one in arguments.items()
     }
     needed = required(schema)
@@ -92,7 +99,7 @@ async def _effect(
         values = {argument: known[argument] for argument in (*needed, *added)}
         calls = await _calls(experimenter, told, name, values)
         if calls:
-            ranges = {one: bounds for one in values if (bounds := _whole_range(arguments[one])) is not None}
+            ranges = {one: bounds for one in values if (bounds := _range(arguments[one])) is not None}
             operations = protocols()[experimenter.adapter.adapter.protocol].operations
             return effect_of(name, calls, ranges, operations[calls[0].operation].documents)
         if calls is None:
@@ -156,6 +163,14 @@ def _values(name: str, described: Mapping[str, Any]) -> list[Any]:
     return []
 
 
+def _anywhere(rng: random.Random, described: Mapping[str, Any]) -> list[Any]:
+    """Return two more values of a number within its bounds: a tool may do something else between those that everybody tries."""
+    if (found := _range(described)) is None or described.get("enum"):
+        return []
+    draw = Draw(lowest=found[0], highest=found[1], step=found[2])
+    return [draw.value(rng.randrange(draw.count)) for _ in range(2)]
+
+
 def _texts(described: Mapping[str, Any]) -> Iterator[str]:
     default = described.get("default")
     if isinstance(default, str) and default:
@@ -176,6 +191,14 @@ def _bounds(described: Mapping[str, Any]) -> tuple[float, float] | None:
     return None
 
 
-def _whole_range(described: Mapping[str, Any]) -> tuple[int, int] | None:
+def _range(described: Mapping[str, Any]) -> tuple[float, float, float] | None:
+    """Return the bounds of a number, and the step from one value to the next: the one that the schema states, else one that nearly every
+    device can hold."""
     bounds = _bounds(described)
-    return None if bounds is None or "integer" not in kinds(described) else (int(bounds[0]), int(bounds[1]))
+    if bounds is None:
+        return None
+    if "integer" in kinds(described):
+        return int(bounds[0]), int(bounds[1]), 1
+    stated = described.get("multipleOf")
+    step = stated if isinstance(stated, int | float) and stated > 0 else _STEP
+    return bounds[0], bounds[1], step

@@ -431,7 +431,8 @@ def _command(draft: Draft, name: str, effect: Effect, form: str) -> list[str]:
     """Return the table of a named command."""
     drawn = effect.command.draws
     ranges = {
-        one: list(draw.values) or {"lowest": draw.lowest, "highest": draw.highest}
+        one: list(draw.values)
+        or {"lowest": draw.lowest, "highest": draw.highest, **({} if draw.step == 1 else {"step": draw.step})}
         for one, draw in drawn.items()
         if not _by_text(draw)
     }

@@ -52,13 +52,13 @@ class Effect:
 
 
 def effect_of(
-    tool: str, calls: Sequence[Call], ranges: Mapping[str, tuple[int, int]], documents: Sequence[str]
+    tool: str, calls: Sequence[Call], ranges: Mapping[str, tuple[float, float, float]], documents: Sequence[str]
 ) -> Effect | None:
     """Return the command that explains every call; None where the arguments do not explain what the device was told.
 
     Args:
         calls: the first one, then the same again, then others that differ from it in one argument each.
-        ranges: lowest and highest value of arguments that are whole numbers.
+        ranges: lowest and highest value of arguments that are numbers, and the step from one value to the next.
         documents: inputs of the operation that are texts, and may be JSON documents.
     """
     first, _, *others = calls
@@ -92,7 +92,8 @@ def effect_of(
             return None
         draw, made = explained
         if name in ranges and not draw.means and len(draw.values) > 2:
-            draw = Draw(lowest=ranges[name][0], highest=ranges[name][1])
+            lowest, highest, step = ranges[name]
+            draw = Draw(lowest=lowest, highest=highest, step=step)
         draws[name] = draw
         templates = {place: left for place, left in templates.items() if place not in moved} | made
     effect = _built(told[0], templates)

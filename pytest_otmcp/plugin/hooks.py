@@ -544,7 +544,9 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
             interference.note(f"the run ended at failure number {limit} (-x or --maxfail)")
         if endings is not None and endings.name is not None:
             _take_from_workers(config, recorder, list(endings.workers.values()))
-        interference.note(*config.stash[SURROUNDINGS].changes())
+        # Whoever interrupts early is gone before there are any.
+        if SURROUNDINGS in config.stash:
+            interference.note(*config.stash[SURROUNDINGS].changes())
         with _writable(recorder):
             recorder.finish(interrupted=_interruption(exitstatus, endings))
     session.exitstatus = (

@@ -13,7 +13,7 @@ from ..protocols.protocol import FACETS
 from ..protocols.registry import protocols
 from ..suite.requirements import Level
 from .page import filled
-from .permission import permitted
+from .permission import not_covered, permitted
 from .text import calls_made
 
 __all__ = ["certificate_page"]
@@ -65,7 +65,14 @@ def _levels(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             "level": "no level" if level is None else level.capitalize(),
             "meaning": _meaning(level),
             "protocols": ", ".join(protocols()[protocol].name for protocol in earning),
-            "passed": [_passed(protocol, told) for protocol in earning],
+            "passed": [
+                *(_passed(protocol, told) for protocol in earning),
+                *(
+                    f"{without}: {', '.join(tools)}."
+                    for tools in [[tool for one in earning for tool in told["adapters"][one]["tools_never_called"]]]
+                    if (without := not_covered(tools))
+                ),
+            ],
         }
 
 

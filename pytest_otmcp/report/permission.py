@@ -1,13 +1,19 @@
-"""What a level permits, in a sentence, and what a run permits: nothing without a level. Pure."""
+"""What a level permits, in a sentence, and what a run permits: nothing without a level, nothing that failed, and no tool that was not
+judged. Pure."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
+from ..core.text import counted
+from ..core.verdict import Verdict
 from ..protocols.registry import protocols
+from ..record.tool_calls import never_called
 from ..suite.levels import standings
 from ..suite.requirements import Level, catalogue
 from . import Run
 
-__all__ = ["permission", "permitted"]
+__all__ = ["not_covered", "permission", "permitted"]
 
 _NONE = "No permission to connect follows"
 
@@ -16,6 +22,13 @@ def permitted(level: Level) -> str:
     """Return what a level permits, which is what it and every level below it says, as the end of a sentence about an adapter."""
     *before, last = [each.meaning for each in Level if each.rank <= level.rank]
     return f"{', '.join(before)}{', and ' if before else ''}{last}"
+
+
+def not_covered(tools: Collection[str]) -> str:
+    """Say that a level is not about tools whose answers were never judged; nothing without any."""
+    if not tools:
+        return ""
+    return f"Not covered: {counted(len(tools), 'tool')} that no item judged; give an assistant none of them"
 
 
 def permission(run: Run, *, certified: bool = False) -> str:
@@ -31,6 +44,10 @@ def permission(run: Run, *, certified: bool = False) -> str:
             by_level.setdefault(one.level, []).append(protocols()[one.protocol].name)
     if not by_level:
         return f"{_NONE}."
+    if run["footer"].get("verdict") != Verdict.CONFORMANT:
+        return f"{_NONE} from a run that is not conformant, whichever level's rules were kept."
     told = [f"{', '.join(names)}: {permitted(level)}." for level, names in by_level.items()]
     told += [f"{protocols()[one.protocol].name}: {_NONE.lower()}." for one in found if one.level is None]
+    tools = [tool for facts in run["subject"]["adapters"].values() for tool in never_called(facts)]
+    told += [f"{without}." for without in [not_covered(tools)] if without]
     return " ".join([*told, *([] if certified else ["This report is no certificate: ask for one before you connect."])])

@@ -26,6 +26,8 @@ _OF_NO_CALL = {"cannot_start", "start_timeout", "does_not_exit", "stdout_noise",
 """Codes of findings about a process or a session: no call of it shows them."""
 _SEVERAL = ("written_twice", "unasked_write")
 """Codes of findings about requests of which one was asked for."""
+_ABOUT_WRITES = ("device_differs", "not_written_once")
+"""Codes of findings about what a write has done, which a read beside it only shows."""
 _NO_REQUESTS = ("malformed", "lost")
 """Kinds of what an adapter sent that is no request: bytes that mean nothing, and those on a connection whose end has vanished."""
 _SHOWN = 3
@@ -100,6 +102,8 @@ def in_words(
     if code in _SEVERAL:
         # Of equal calls, the one during which it was written again.
         named = sorted(named, key=lambda call: -sum(_during(call, entry) for entry in changing))[:1]
+    if code in _ABOUT_WRITES and not named:
+        calls = [call for call in calls if _writes(call)] or calls
     calls = named or _shown(calls, requests, evidence) or _closest(calls, message)
     call = next((call for call in calls if not call["ok"]), None)
     call = call or next((call for call in reversed(calls) if any(_during(call, entry) for entry in changing)), None)
@@ -120,6 +124,12 @@ def in_words(
         ),
         more_seen=max(0, len(shown) - _SHOWN),
     )
+
+
+def _writes(call: Mapping[str, Any]) -> bool:
+    protocol = protocols().get(str(call.get("adapter")))
+    operation = None if protocol is None else protocol.operations.get(str(call.get("operation")))
+    return operation is not None and operation.writes
 
 
 def _claims_success(call: Mapping[str, Any]) -> bool:

@@ -34,11 +34,13 @@ def effect(tool: Tool, values: dict[str, list[Any]], ranges: dict[str, tuple[int
 
 
 def test_a_value_that_is_passed_on_is_drawn_from_its_whole_range() -> None:
-    found = effect(lambda level: {"address": 4, "value": level}, {"level": [0, 25, 50, 100]}, {"level": (0, 100)})
+    found = effect(lambda level: {"address": 4, "value": level}, {"level": [0, 25, 50, 100]}, {"level": (0, 100, 1)})
     assert found.arguments == {"level": "$level"}
     assert found.command.effect == {"address": 4, "value": "$level"}
     assert found.command.draws == {"level": Draw(lowest=0, highest=100)}
     assert found.calls == 5
+    half = effect(lambda level: {"address": 4, "value": level}, {"level": [15, 21.5, 28]}, {"level": (15, 28, 0.5)})
+    assert half.command.draws == {"level": Draw(lowest=15, highest=28, step=0.5)}
 
 
 @pytest.mark.parametrize(

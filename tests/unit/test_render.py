@@ -118,7 +118,9 @@ def modbus(identifier: str, status: str = "PASS", suite: str = "normal") -> dict
         ("KIT_ERROR", "PASS", Earned(grade=Grade.UNDECIDED, because=("M1",))),
         ("PASS", "INTERRUPTED", Earned(grade=Grade.UNDECIDED, because=("M2",))),
         ("NOT_APPLICABLE", "NOT_APPLICABLE", Earned(grade=Grade.NOT_ASKED, without=("M1", "M2"))),
-        ("PASS", "NOT_APPLICABLE", Earned(grade=Grade.EARNED, because=("M1",), without=("M2",))),
+        ("NOT_APPLICABLE", "PASS", Earned(grade=Grade.EARNED, because=("M2",), without=("M1",))),
+        # That the device can be reached is no value.
+        ("PASS", "NOT_APPLICABLE", Earned(grade=Grade.NOT_ASKED, without=("M1", "M2"))),
     ],
 )
 def test_a_capability_is_earned_when_every_item_behind_it_passed(first: str, second: str, expected: Earned) -> None:
