@@ -18,7 +18,7 @@ Tool = Callable[..., dict[str, Any]]
 
 
 def observed(
-    tool: Tool, values: dict[str, list[Any]], ranges: dict[str, tuple[int, int]] | None = None
+    tool: Tool, values: dict[str, list[Any]], ranges: dict[str, tuple[float, float, float]] | None = None
 ) -> Effect | None:
     """Return what is found when each argument is varied alone."""
     first = {name: some[0] for name, some in values.items()}
@@ -27,7 +27,7 @@ def observed(
     return effect_of("tool", calls, ranges or {}, ("payload",))
 
 
-def effect(tool: Tool, values: dict[str, list[Any]], ranges: dict[str, tuple[int, int]] | None = None) -> Effect:
+def effect(tool: Tool, values: dict[str, list[Any]], ranges: dict[str, tuple[float, float, float]] | None = None) -> Effect:
     found = observed(tool, values, ranges)
     assert found is not None
     return found
