@@ -43,7 +43,7 @@ def test_every_example_says_exactly_what_to_install(name: str) -> None:
         assert all(map(re.compile(r"[\d.]+").fullmatch, json.loads(package.read_text())["dependencies"].values()))
     assert files or package.exists() or sources(name)
     for line in [line for file in files for line in file.read_text(encoding="utf-8").splitlines()]:
-        assert re.fullmatch(r"[\w.-]+(\[\w+\])?==[\w.]+", line), line
+        assert re.fullmatch(r"[\w.-]+(\[\w+\])?(==[\w.]+| @ git\+https://[\w./-]+@[0-9a-f]{7,})", line), line
 
 
 def test_the_table_of_the_examples_has_every_example() -> None:

@@ -27,7 +27,9 @@ def observed(
     return effect_of("tool", calls, ranges or {}, ("payload",))
 
 
-def effect(tool: Tool, values: dict[str, list[Any]], ranges: dict[str, tuple[float, float, float]] | None = None) -> Effect:
+def effect(
+    tool: Tool, values: dict[str, list[Any]], ranges: dict[str, tuple[float, float, float]] | None = None
+) -> Effect:
     found = observed(tool, values, ranges)
     assert found is not None
     return found
