@@ -87,15 +87,20 @@ def _types(argument: object, whole: object, depth: int, bounds: _Bounds) -> froz
     return _ANY
 
 
-def of_other_types(rng: random.Random, argument: object, whole: object = None, *, number: bool = False) -> list[Any]:
+def of_other_types(
+    rng: random.Random, argument: object, whole: object = None, *, number: bool = False, good: object = None
+) -> list[Any]:
     """Return values of every JSON type that an argument does not have; of texts, those that look like its values.
 
     Args:
         number: the argument has to be a number, though its schema may let everything through.
+        good: a good value, if one is known: where the schema states no bounds, a text of it is refused for its type alone.
     """
     allowed = types(argument, whole)
     digits = rng.randrange(2, 100)
-    values = [True, str(digits), "nan", "Infinity", None, [], [digits], {}, {"value": digits}, digits]
+    bounded = isinstance(argument, Mapping) and not {"minimum", "maximum"}.isdisjoint(argument)
+    text = str(good) if _is_number(good) and not bounded else str(digits)
+    values = [True, text, "nan", "Infinity", None, [], [digits], {}, {"value": digits}, digits]
     if allowed >= _ANY and number:
         allowed = frozenset({"number"})
         # A list of one number is the value of one element to a tool that also writes several elements of an array.

@@ -434,7 +434,8 @@ async def types_are_not_changed(run: Repetition, at: Rig) -> None:
             continue
         if not number and generated.types(stated, schema) >= generated.types(None):
             continue
-        for value in generated.of_other_types(run.rng, stated, schema, number=number):
+        good = at.drawn_for(asked.operation, name, **asked.inputs)
+        for value in generated.of_other_types(run.rng, stated, schema, number=number, good=good):
             altered = Alteration(given={argument: value})
             await _not_taken(run, at, await at.call_altered(asked.operation, altered, **asked.inputs), before)
     await a_write_works(run, at)

@@ -140,7 +140,7 @@ def _digest_set(digest: str) -> dict[str, str]:
 
 
 def _called(run: Run) -> Mapping[str, Set[str]]:
-    """Return the items in which each operation was called, by its facet: checks use more operations than they need."""
+    """Return the items in which each operation was called, and given each of its inputs, by facet: checks use more than they need."""
     found: defaultdict[str, set[str]] = defaultdict(set)
     for item in run["items"]:
         for sample in item["samples"]:
@@ -148,7 +148,9 @@ def _called(run: Run) -> Mapping[str, Set[str]]:
                 # Of repetitions that are alike only the first is whole.
                 if "operation" not in call:
                     continue
-                found[f"{call['adapter'].partition('@')[0]}.{call['operation']}"].add(item["id"])
+                facet = f"{call['adapter'].partition('@')[0]}.{call['operation']}"
+                for name in (facet, *(f"{facet}.{given}" for given in call["inputs"])):
+                    found[name].add(item["id"])
     return found
 
 
@@ -172,7 +174,7 @@ def _adapter(
         elif applying:
             # These items have all passed; otherwise there would be no certificate.
             earned[name] = [item["id"] for item in applying]
-        elif not protocols()[protocol].is_voluntary(name):
+        elif not protocols()[protocol].is_voluntary(name) or name in protocols()[protocol].operations:
             not_exercised.append(name)
     revision = str(facts["protocol_version"])
     return {
@@ -182,7 +184,7 @@ def _adapter(
         "deadline_s": facts["deadline_s"],
         "envelope": facts["envelope"],
         "envelope_requirements_unmet": facts["unmet"],
-        "outputs_not_judged": facts["unjudged"],
+        "outputs_not_judged": list(_not_judged(facts)),
         "recovery": facts["recovery"],
         "recovery_s": facts["recovery_s"],
         "recovered_within_s": slowest_recovery_s(protocol, run["items"]),
@@ -191,6 +193,15 @@ def _adapter(
         "tools_never_called": never_called(facts),
         "facets": {"earned": earned, "claimed_not_exercised": not_exercised, "not_claimed": not_claimed},
     }
+
+
+def _not_judged(facts: AdapterFacts) -> Iterator[str]:
+    """Yield the outputs that no binding says the place of; named commands, which are judged by their effects, have none."""
+    for name in facts["unjudged"]:
+        operation, _, output = name.partition(".")
+        cases = facts["bindings"].get(operation) or []
+        if not any(output in case["outputs"] or case.get("command") is not None for case in cases):
+            yield name
 
 
 def _counts(run: Run) -> dict[str, object]:

@@ -234,6 +234,15 @@ class Rig(WriteGate):
             if f"${name}" in taken and name not in {*binding.offset, *binding.names, *binding.convert}
         }
 
+    def drawn_for(self, operation: str, name: str, **inputs: object) -> object:
+        """Return the value of the argument of a named command that makes an input; None where no command performs the operation."""
+        cases = self.bindings(operation)
+        binding = next((case for case in cases or () if case.fits(inputs)), None)
+        if binding is None or binding.command is None:
+            return None
+        (part, *_) = sorted(names_in(binding.command.effect[name]))
+        return (binding.command.arguments(inputs) or {}).get(part)
+
     def tool_of(self, operation: str, **inputs: object) -> str | None:
         """Return the tool that performs an operation; None where it is not performed by one tool call."""
         cases = self.bindings(operation)
