@@ -200,7 +200,9 @@ def _members(value: object) -> Iterator[tuple[str, Any]]:
 
 def synthesised(answer: Answer, *, protocol: str, operation: str, writes: bool) -> dict[str, Any]:
     """Make an envelope for an answer that has none; ``meta.synthesised`` says so."""
-    data = answer.document if isinstance(answer.document, dict) else {"document": answer.document}
+    # Of an answer that has no document its text is all that it says.
+    other = {"text": answer.text[:_MAX_TEXT]} if answer.document is None else {"document": answer.document}
+    data = answer.document if isinstance(answer.document, dict) else other
     error = None
     if not answer.success:
         known = registry().get(answer.code or "")

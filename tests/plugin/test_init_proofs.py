@@ -74,6 +74,46 @@ server.run()
 """
 
 # Its calls wait for messages, and one of them gives the last message only; the broker is an entry of its configuration.
+INBOX = """
+import os
+from typing import Any
+import paho.mqtt.client as paho
+from mcp.server import MCPServer
+
+server = MCPServer("inbox")
+received = []
+client = paho.Client(paho.CallbackAPIVersion.VERSION2)
+client.on_message = lambda *told: received.append({"topic": told[2].topic, "payload": told[2].payload.decode()})
+
+
+def connected() -> paho.Client:
+    if not client.is_connected():
+        client.connect(os.environ["BROKER"], int(os.environ["BROKER_PORT"]))
+        client.loop_start()
+    return client
+
+
+@server.tool()
+def subscribe(topic: str) -> dict[str, Any]:
+    connected().subscribe(topic)
+    return {"subscribed": topic}
+
+
+@server.tool()
+def unsubscribe(topic: str) -> dict[str, Any]:
+    connected().unsubscribe(topic)
+    return {"unsubscribed": topic}
+
+
+@server.tool()
+def get_messages(topic: str | None = None) -> dict[str, Any]:
+    return {"messages": [one for one in received if topic in (None, one["topic"])]}
+
+
+server.run()
+"""
+
+
 WAITING = """
 import os
 import time
@@ -382,6 +422,15 @@ def test_a_tool_that_gives_the_last_message_only_is_no_inbox(init: Init) -> None
     (publish,) = adapter.operations["publish"]
     sent = {"topic": "a", "payload": "b", "qos": 0}
     assert publish.fill(sent, {}) == {**sent, "dry_run": False}
+
+
+@pytest.mark.long
+def test_a_topic_that_is_no_filter_is_left_out(init: Init) -> None:
+    told, adapter = init("mqtt", INBOX, BROKER="{host}", BROKER_PORT="{port}")
+    assert "messages        get_messages (proven" in told
+    assert "unsubscribe     unsubscribe (proven" in told
+    (messages,) = adapter.operations["messages"]
+    assert messages.arguments == {}
 
 
 @pytest.fixture

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import base64
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from ...wire.mqtt.sparkplug import parse_topic
 from ..evidence import Sample, claims_success, find, lists_in
 from ..experimenter import Experimenter
 from ..guess import Guess
+from ..input_schema import required, resolved
 from ..pack import Hints, Pack, plain
 from ..proposal import Proposal, Shown
 from ..status import reach
@@ -44,13 +46,13 @@ def _nonce(experimenter: Experimenter) -> str:
 
 
 async def _subscribe(experimenter: Experimenter, guess: Guess) -> Proposal:
-    nonce = _nonce(experimenter)
-    shown = await _call_and_publish(experimenter, guess, [nonce], filter=f"{_ASKED}/{nonce}", qos=0)
-    asked = [entry["connection"] for entry in shown.entries if entry["kind"] == "SUBSCRIBE" and nonce in str(entry)]
+    name, nonce = _nonce(experimenter), _nonce(experimenter)
+    shown = await _call_and_publish(experimenter, guess, [nonce], filter=f"{_ASKED}/{name}", qos=0)
+    asked = [entry["connection"] for entry in shown.entries if entry["kind"] == "SUBSCRIBE" and name in str(entry)]
     ended = {entry["connection"] for entry in shown.entries if entry["kind"] in _ENDINGS}
     # A call that subscribes, waits and leaves again, or answers with what came, receives by itself: it is no subscription for
     # later.
-    waited = nonce in str(shown.message).replace(f"{_ASKED}/{nonce}", "")
+    waited = nonce in str(shown.message)
     kept = bool(set(asked) - ended) and not waited and shown.message is not None and claims_success(shown.message)
     proposal = experimenter.propose(guess, shown, proven=kept, seen="a SUBSCRIBE for the filter" if asked else "")
     proposal.returned = bool(asked)
@@ -137,15 +139,39 @@ async def _inbox(experimenter: Experimenter, guess: Guess) -> Proposal:
     if problem is not None:
         proposal.evidence = [problem or f"a message that was published was not in the answer: {shown.words}"]
         return proposal
+    if "filter" in placeholders(guess.arguments) and not await _takes_wildcards(experimenter, guess, nonces[0]):
+        kept = {name: value for name, value in guess.arguments.items() if "filter" not in placeholders(value)}
+        proposal = await _inbox(experimenter, replace(guess, arguments=kept))
+        proposal.evidence.append("its argument for a topic takes no wildcards, so it is left out")
+        return proposal
     proposal.returned = True
     proposal.evidence = ["a message that the device published is in the answer"]
-    return _placed(proposal, _KEPT, nonces[0])
+    sent = [
+        entry
+        for entry in (await device.journal(0)).entries
+        if entry["kind"] == "PUBLISH" and entry["direction"] == "out"
+    ]
+    return _placed(proposal, _KEPT, nonces[0], [payload_of(entry).decode("utf-8", "replace") for entry in sent])
 
 
-def _placed(proposal: Proposal, topic: str, nonce: str) -> Proposal:
-    """Say where messages are in an answer that holds one with this topic and payload."""
-    for form in ("structured", "json", "texts"):
-        place = find([Sample(message=proposal.good or {}, expected=nonce)], (form,))
+async def _takes_wildcards(experimenter: Experimenter, guess: Guess, nonce: str) -> bool:
+    """Tell whether a tool that gives the messages of a topic takes a filter as well, which the operation is about. One whose argument is
+    required has to be bound all the same."""
+    session = experimenter.adapter.session
+    needed = required(resolved({} if session is None else session.tools[guess.tool], None))
+    if any("filter" in placeholders(value) for name, value in guess.arguments.items() if name in needed):
+        return True
+    return nonce in str((await experimenter.call(guess, {}, filter=_SUBSCRIBED)).message)
+
+
+def _placed(proposal: Proposal, topic: str, nonce: str, others: Sequence[str] = ()) -> Proposal:
+    """Say where messages are in an answer that holds one with this topic and payload.
+
+    Args:
+        others: payloads of messages that may be listed before it.
+    """
+    for form, first in itertools.product(("structured", "json", "texts"), dict.fromkeys((nonce, *others))):
+        place = find([Sample(message=proposal.good or {}, expected=first)], (form,))
         if place is None or "[0]." not in str(place.rule.get("path")):
             continue
         listed, payload = str(place.rule["path"]).split("[0].", 1)

@@ -396,7 +396,7 @@ def never_commanded(entries: Entries, inputs: Mapping[str, Any]) -> list[Finding
 def _made_up_for(what: str, found: Sequence[MqttEntry], entries: Entries) -> list[Finding]:
     if not found:
         return []
-    message = f"{what} was reported as failed and should never have been published, the broker received it {len(found)} time(s)"
+    message = f"{what} was not told as a success and should never have been published, the broker received it {len(found)} time(s)"
     return [Finding(code="made_up_for", message=message, requirement="WR-010", evidence=shown(entries))]
 
 
