@@ -47,7 +47,7 @@ _MOST_READS = 120
 
 @TASKS.check("MQT-001", "A publication is a success when the broker has acknowledged it.", needs="mqtt.publish")
 async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
-    """Publish with QoS 1 and 2 while the broker acknowledges late; while it ends the connection instead; with QoS 1 while it says
+    """Publish with QoS 1 and 2 while the broker acknowledges late, and the same message again; while it ends the connection instead; with QoS 1 while it says
     nothing; in MQTT 5 with QoS 1 and 2 while it refuses the message; and with QoS 0 while it is away. Then publish again. A subject that
     publishes by named commands alone is asked for one of them while the broker acknowledges late, ends the connection and says nothing.
 
@@ -64,7 +64,11 @@ async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
         await mqtt.device.fault()
         run.succeeds(reply, requirement="MQT-001")
         run.witnessed(_acknowledged(reply, await mqtt.journal(), payload))
-        await _arrives(run, mqtt, reply, payload, qos=mqtt.subject.expected_if_accepted("publish", "qos", qos))
+        granted = mqtt.subject.expected_if_accepted("publish", "qos", qos)
+        await _arrives(run, mqtt, reply, payload, qos=granted)
+        again = await mqtt.call("publish", topic=_PUMP, payload=payload.decode(), qos=qos)
+        run.succeeds(again, requirement="MQT-001")
+        await _arrives(run, mqtt, again, payload, qos=granted)
         await _unacknowledged(
             run, mqtt, qos, {"packet": "PUBREL" if qos == 2 else "PUBLISH", "action": {"reset": True}}
         )

@@ -89,6 +89,21 @@ def begun_regardless(server: AdapterServer) -> None:
     instead(server)
 
 
+def the_same_is_spared(server: AdapterServer) -> None:
+    """The defect that a speed which equals the one before is told as set, and not written."""
+    last: list[object] = []
+
+    @around(_SPEED)
+    async def instead(genuine: Handler, call: Call, arguments: Any) -> Data:
+        if last == [arguments.percent]:
+            return {"done": f"the pump runs at {arguments.percent:g} %"}
+        data = await genuine(call, arguments)
+        last[:] = [arguments.percent]
+        return data
+
+    instead(server)
+
+
 def kitchen_alone(server: AdapterServer) -> None:
     tools = tools_of(server, _ALL)
 
@@ -203,6 +218,14 @@ DEFECTS: tuple[Defect, ...] = (
         batch_by("litres", "start", "start"),
         "WR-004 WR-014",
         "WR-003 WR-014",
+        named=True,
+    ),
+    defect(
+        "MU-14nz",
+        "modbus",
+        "A speed that equals the one before is told as set, and not written.",
+        the_same_is_spared,
+        "WR-014",
         named=True,
     ),
     defect(

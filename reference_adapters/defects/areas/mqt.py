@@ -7,17 +7,32 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from ...core import AdapterError, AdapterServer, Lost
+from ...core import AdapterError, AdapterServer, Call, Lost
 from ...mqtt.connection import Connection, Delivery, Message
 from ...mqtt.inbox import Inbox
 from ...mqtt.link import Link
-from ..defect import Defect, around, defect, told
+from ..defect import Data, Defect, Handler, around, defect, told
 from ..mqtt import equal_topics_only, retained, subscribed_topics_only
 
 __all__ = ["DEFECTS"]
 
 _PUBLISH = "publish_message"
 _PATIENCE_S = 1.0
+
+
+def the_same_is_spared(server: AdapterServer) -> None:
+    """The defect that a message which equals the one before is told as published, and not sent."""
+    last: list[tuple[object, Data]] = []
+
+    @around(_PUBLISH)
+    async def instead(genuine: Handler, call: Call, arguments: Any) -> Data:
+        if last and last[0][0] == arguments:
+            return last[0][1]
+        data = await genuine(call, arguments)
+        last[:] = [(arguments, data)]
+        return data
+
+    instead(server)
 
 
 async def _delivered_at_once(connection: Connection, deliveries: Sequence[Delivery]) -> None:
@@ -157,6 +172,13 @@ def topics_in_lower_case(server: AdapterServer) -> None:
 
 
 DEFECTS: tuple[Defect, ...] = (
+    defect(
+        "MU-14sq",
+        "mqtt",
+        "A message that equals the one before is told as published, and not sent.",
+        the_same_is_spared,
+        "MQT-001",
+    ),
     defect(
         "MU-67e",
         "mqtt",
