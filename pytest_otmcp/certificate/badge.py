@@ -22,7 +22,7 @@ _PADDING = 7
 
 def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of ``badge.json``: the protocols, each with its level where one is awarded, how many items passed, of how many that
-    there are about them, how many of these the vendor does not claim, and the version of the catalogue of requirements."""
+    there are about them, how many of these do not apply, and the version of the catalogue of requirements."""
     told = certificate["predicate"]["otmcp"]
     passed, of = (sum(count[name] for count in told["items"].values()) for name in ("passed", "of"))
     awarded = told["level"]["awarded"] or {}
@@ -31,8 +31,9 @@ def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
         for protocol in told["adapters"]
     ]
     message = "conformant: " + ", ".join(named)
-    unclaimed = f", {of - passed} not claimed" if passed < of else ""
-    message += f" ({passed} of {of} items{unclaimed}, catalogue {told['catalogue']})"
+    others = of - passed
+    inapplicable = f", {others} {'does' if others == 1 else 'do'} not apply" if others else ""
+    message += f" ({passed} of {of} items{inapplicable}, catalogue {told['catalogue']})"
     return {"schemaVersion": 1, "label": _LABEL, "message": message, "color": _COLOUR.removeprefix("#")}
 
 

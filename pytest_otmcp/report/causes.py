@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from ..core.finding_registry import finding_codes
+from ..core.library_registry import libraries
 from ..core.matrix import CROSS_PROTOCOL, REQUIREMENTS
 from ..protocols.registry import protocols
 from ..record.schema import Finding
@@ -162,8 +163,12 @@ def causes(run: Run) -> list[Cause]:
 def _libraries(run: Run) -> dict[str, Collection[str]]:
     """Return the libraries that adapters were seen to use, by the name of their protocol."""
     known = protocols()
-    adapters = run["subject"]["adapters"].items()
-    return {known[key].name: facts.get("libraries", {}) for key, facts in adapters if key in known}
+    # A server of several protocols imports the libraries of all.
+    return {
+        known[key].name: facts.get("libraries", {}).keys() & {*libraries(), *libraries(known[key].package)}
+        for key, facts in run["subject"]["adapters"].items()
+        if key in known
+    }
 
 
 def _findings(items: Iterable[Item]) -> Iterator[_Found]:

@@ -94,7 +94,8 @@ def explained(identifier: str) -> list[Explained]:
         found.append(finding_code(identifier))
     if identifier in facets():
         found.append(_explained_facet(identifier))
-    return found
+    # A subject file names a facet below its protocol, without it.
+    return found or [_explained_facet(facet) for facet in facets() if facet.partition(".")[2] == identifier]
 
 
 def near(identifier: str) -> list[str]:

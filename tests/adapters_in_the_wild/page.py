@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 
 from pytest_otmcp.certificate.eligibility import objections
@@ -40,6 +41,7 @@ _HEAD = (
     "certificate",
 )
 _NONE = "—"
+_FOLDER = re.compile(r"/[\w./-]*/work/[0-9a-f]{32}")
 
 _CLAIMS = {"not_successful", "not_refused", "no_reply", "no_envelope", "json_rpc_error", "session_lost"}
 """Codes of findings about what a reply claims, for which nobody needs the device."""
@@ -136,7 +138,8 @@ def adapter_page(name: str, run: Run) -> str:
         lines += _cause(number, cause)
     if warned := warnings(run["items"]):
         lines += ["## Warnings", "", *(f"- {code(said(warning))}" for warning in warned)]
-    return "\n".join(lines).rstrip() + "\n"
+    # Where the fleet had its folders says nothing about the adapter.
+    return _FOLDER.sub("{dir}", "\n".join(lines).rstrip()) + "\n"
 
 
 def _summary(name: str, run: Run) -> str:

@@ -374,7 +374,7 @@ def test_true_is_not_one_and_a_whole_number_is_no_fraction() -> None:
 def test_the_badge_is_what_shields_draws_from(statement: dict[str, Any]) -> None:
     passed = len(statement["predicate"]["passedTests"])
     of = sum(count["of"] for count in told(statement)["items"].values())
-    counted = f"{passed} of {of} items, {of - passed} not claimed"
+    counted = f"{passed} of {of} items, {of - passed} do not apply"
     assert badge(statement) == {
         "schemaVersion": 1,
         "label": "OT-MCP conformance",

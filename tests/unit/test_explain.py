@@ -181,3 +181,7 @@ def test_without_an_id_all_are_listed(capsys: pytest.CaptureFixture[str]) -> Non
     listed = capsys.readouterr().out
     for name in ("M3 ", "WR-003 ", "WR-003.modbus ", "illegal_address ", "wrong_value ", "Silver "):
         assert f"\n{name}" in listed
+
+
+def test_a_facet_is_explained_as_a_subject_file_names_it() -> None:
+    assert [one.id for one in explained("publish.qos")] == ["mqtt.publish.qos"]
