@@ -7,7 +7,7 @@ with the rest before it is believed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import cast
 from unicodedata import category
 
@@ -18,6 +18,7 @@ from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
 from ..record.consistency import clock_faults, inapplicable_by_steps
 from ..record.schema import Item, Run
+from ..record.warnings import findings_of
 from ..subject.claims import Claims
 from ..trial.task import Task
 
@@ -48,6 +49,8 @@ _EMPTY = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u180b\u180c\u180d\u180f\u2065
 selectors are not among them, as they stand behind a letter or a sign."""
 
 _NAMES = ("subject.name", "subject.version")
+_NAMED, _NO_START = 12, "cannot_start"
+"""How many items a sentence names; and the code of an adapter that does not run at all."""
 
 Tasks = Mapping[str, Task]
 
@@ -107,9 +110,23 @@ def _verdict_objections(run: Run, tasks: Tasks) -> Iterator[str]:
         return
     missing = [name for name in tasks if name not in statuses]
     bad = [name for name, status in statuses.items() if status not in (Status.PASS, Status.NOT_APPLICABLE)]
-    why = [f"{', '.join(bad)} did not pass"] if bad else []
-    why += [f"{', '.join(missing)} did not run"] if missing else []
+    why = [f"{_some(bad)} did not pass"] if bad else []
+    why += [f"{_some(missing)} did not run"] if missing else []
+    found = (finding for item in run["items"] for finding in findings_of(item))
+    if not any(map(_has_passed, run["items"])) and (
+        none := next((one for one in found if one["code"] == _NO_START), None)
+    ):
+        why = [none["message"]]
     yield f"the verdict is {verdict}: {'; '.join(why) or 'nothing applies to the subject'}"
+
+
+def _has_passed(item: Item) -> bool:
+    return item["status"] == Status.PASS
+
+
+def _some(names: Sequence[str]) -> str:
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _settings_objections(run: Run) -> Iterator[str]:
@@ -117,7 +134,7 @@ def _settings_objections(run: Run) -> Iterator[str]:
     for key in settings.get("devices", {}):
         yield f"the {key} device was a real one: a field record shows no level and earns no certificate"
     if deviations:
-        yield f"known deviations are declared, and a certificate excuses nothing: {deviations}"
+        yield f"known deviations are declared, and a certificate excuses nothing: {_some([one['item'] for one in deviations])}"
     for sentence in settings["narrowed"]:
         yield f"the suite was narrowed: {sentence}"
     reps = settings["reps"]

@@ -226,7 +226,14 @@ def device(*, first: int) -> dict[str, Any]:
     return {**facts, "first": first}
 
 
+def does_not_start(run: dict[str, Any]) -> None:
+    told = {"code": "cannot_start", "message": "there is no such program", "requirement": "MCP-002", "strength": "MUST"}
+    for item in run["items"]:
+        item.update(status="FAIL", findings=[{**told, "evidence": None, "cause": None}])
+
+
 OBJECTIONABLE: list[tuple[Change, str]] = [
+    (does_not_start, "the verdict is NOT CONFORMANT: there is no such program"),
     (lambda run: by_id(run, "M1").update(status="FAIL"), "the verdict is NOT CONFORMANT: M1 did not pass"),
     (lambda run: by_id(run, "M1").update(status="NOT_TESTABLE"), "the verdict is NOT CONFORMANT: M1 did not pass"),
     (lambda run: by_id(run, "M1").update(status="KIT_ERROR"), "the verdict is INDETERMINATE: M1 did not pass"),
@@ -251,7 +258,7 @@ OBJECTIONABLE: list[tuple[Change, str]] = [
     (lambda run: run["settings"].update(narrowed=["-k M1"]), "the suite was narrowed: -k M1"),
     (
         lambda run: run["subject"].update(deviations=[{"item": "FQ2", "reason": "clamps", "expires": "2027-03-31"}]),
-        "a certificate excuses nothing: [{'item': 'FQ2'",
+        "a certificate excuses nothing: FQ2",
     ),
     (
         lambda run: run["devices"].update(modbus=device(first=1000)),
