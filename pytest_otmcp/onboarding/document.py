@@ -341,8 +341,8 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
     failures = [(proposal, *failed) for proposal in proven for failed in proposal.failures]
     for tried, code, failure in failures:
         rules = failure_rules(failure, successes, form)
-        # An adapter may not have noticed yet that the device is gone.
-        if not rules and code != "connect_failed" and interpret(failure, Answering(form=form)).success:
+        # An adapter may not have noticed yet that the device is gone, or that it is silent.
+        if not rules and code not in ("connect_failed", "timeout") and interpret(failure, Answering(form=form)).success:
             draft.left.append(
                 f"outcome: nothing tells a failure of {tried.guess.tool!r} from a success; see its answer"
             )

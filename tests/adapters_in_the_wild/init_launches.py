@@ -158,7 +158,13 @@ LAUNCHES = (
         protocol="mqtt",
         command=(".venv/bin/mqtt-mcp",),
         env={"MQTT_BROKER_URL": "{url}"},
-        proven={"subscribe": "subscribe_topic", "messages": "read_messages", "publish": "publish_message"},
+        proven={
+            "subscribe": "subscribe_topic",
+            "messages": "read_messages",
+            "publish": "publish_message",
+            "unsubscribe": "unsubscribe_topic",
+            "subscriptions": "list_subscriptions",
+        },
         guard="MQTT_WRITES_ENABLED",
         left=2,
     ),
@@ -187,7 +193,12 @@ LAUNCHES = (
         example="mcmqtt",
         protocol="mqtt",
         command=(".venv/bin/mcmqtt",),
-        proven={"subscribe": "mqtt_subscribe", "publish": "mqtt_publish"},
+        proven={
+            "subscribe": "mqtt_subscribe",
+            "publish": "mqtt_publish",
+            "unsubscribe": "mqtt_unsubscribe",
+            "subscriptions": "mqtt_list_subscriptions",
+        },
         left=3,
     ),
     Launch(
