@@ -121,6 +121,21 @@ async def subscribes(work: Work, operation: str) -> bool:
     return any("wild/+/level" in str(client) for client in (await work.device.image())["clients"])
 
 
+async def unsubscribes(work: Work, operation: str) -> bool:
+    since = await work.device.mark()
+    await work.call("subscribe", filter="otmcp/work/ended", qos=0)
+    reply = await work.call(operation, filter="otmcp/work/ended")
+    entries = (await work.device.journal(since)).entries
+    return bool(reply.success) and any(
+        entry["kind"] == "UNSUBSCRIBE" and "otmcp/work/ended" in str(entry) for entry in entries
+    )
+
+
+async def tells_subscriptions(work: Work, operation: str) -> bool:
+    await work.call("subscribe", filter="otmcp/work/kept", qos=0)
+    return "otmcp/work/kept" in ((await work.call(operation)).outputs.get("filters") or [])
+
+
 async def receives(work: Work, operation: str) -> bool:
     topic, text, blocks = "wild/tank", f"{random.getrandbits(40):x}", operation in work.under_test.adapter.blocking
     since = await work.device.mark()
@@ -279,7 +294,14 @@ CHECKS: dict[str, dict[str, Check]] = {
         # At last, here and below: an adapter may not come back from an outage.
         "ping": tells_the_state,
     },
-    "mqtt": {"subscribe": subscribes, "messages": receives, "publish": publishes, "info": tells_the_state},
+    "mqtt": {
+        "subscribe": subscribes,
+        "messages": receives,
+        "publish": publishes,
+        "unsubscribe": unsubscribes,
+        "subscriptions": tells_subscriptions,
+        "info": tells_the_state,
+    },
     "opcua": {"read": reads_nodes, "read_many": reads_nodes, "browse": browses, "write": writes_a_node},
     "s7": {
         "read_db": reads_a_block,
