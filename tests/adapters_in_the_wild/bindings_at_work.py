@@ -133,7 +133,7 @@ async def unsubscribes(work: Work, operation: str) -> bool:
 
 async def tells_subscriptions(work: Work, operation: str) -> bool:
     await work.call("subscribe", filter="otmcp/work/kept", qos=0)
-    return "otmcp/work/kept" in ((await work.call(operation)).outputs.get("filters") or [])
+    return "otmcp/work/kept" in ((await work.call(operation)).outputs.get("filters") or [])  # type: ignore[operator]
 
 
 async def receives(work: Work, operation: str) -> bool:
