@@ -112,7 +112,8 @@ def in_words(
     # What is no request reached it all the same.
     during = during or [entry for entry in entries if entry.get("kind") in _NO_REQUESTS and _during(call, entry)]
     # What is told too early comes after the answer.
-    late = [entry for entry in requests if evidence and _described(entry) in evidence and not during]
+    after = [] if during or not evidence else [entry for entry in requests if _after(call, entry)]
+    late = [entry for entry in after if _described(entry) in (evidence or "")]
     shown = [entry for entry in during if entry.get("state_changing")] or during or late
     return InWords(
         asked=clipped(f"{call.get('tool')} {_json(told_in_words(call.get('arguments') or {}))}", _LETTERS)
@@ -169,6 +170,11 @@ def _during(call: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
     if not isinstance(sent, int) or not isinstance(at, int):
         return False
     return sent <= at and (not isinstance(received, int) or at <= received)
+
+
+def _after(call: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
+    received, at = call.get("received_ns"), entry.get("t_ns")
+    return isinstance(received, int) and isinstance(at, int) and at > received
 
 
 def _said(call: Mapping[str, Any]) -> str:
