@@ -17,7 +17,7 @@ from pytest_otmcp.trial.rig import Rig
 
 from .within import exercise
 
-__all__ = ["asked_of_the_device", "carried_out", "guarded", "nothing_sent", "some_command"]
+__all__ = ["asked_of_the_device", "carried_out", "done", "guarded", "nothing_sent", "some_command"]
 
 _LATE_S = 0.25
 """Seconds for which a message that no answer confirms may be on its way when the call is answered."""
@@ -35,7 +35,7 @@ async def asked_of_the_device(at: Rig, asked: Asked, reply: Reply) -> Entries:
     What needs no answer, as a message of QoS 0, may be on its way when the call is answered.
     """
     several, entries = at.by_command_alone(asked.operation) or asked.then, await at.journal()
-    seen = _done(at, asked, _since(reply, entries) if several else reply.during(entries))
+    seen = done(at, asked, _since(reply, entries) if several else reply.during(entries))
     if not several and (seen or not reply.success):
         return reply.during(entries)
     if reply.success and len(seen) < 1 + len(asked.then):
@@ -56,7 +56,7 @@ async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: st
     if not run.succeeds(reply, requirement=requirement):
         return
     seen = await asked_of_the_device(at, asked, reply)
-    found, parts = _done(at, asked, seen), (asked, *asked.then)
+    found, parts = done(at, asked, seen), (asked, *asked.then)
     wrong = next(
         (
             (part, shown)
@@ -79,7 +79,7 @@ async def carried_out(run: Repetition, at: Rig, asked: Asked, *, requirement: st
         run.witnessed([replace(finding, requirement=requirement or finding.requirement) for finding in changed])
 
 
-def _done(at: Rig, asked: Asked, entries: Entries) -> list[JournalEntry]:
+def done(at: Rig, asked: Asked, entries: Entries) -> list[JournalEntry]:
     """Return the requests that ask the device for the effect of a call, or for any of its effects."""
     known = exercise(at)
     if not asked.then:

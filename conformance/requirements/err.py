@@ -396,7 +396,7 @@ async def validation_comes_first(run: Repetition, at: Rig) -> None:
     await a_read_works(run, at)
     there = await wrongly_asked(run, at)
     if there is None:
-        run.not_applicable(f"{exercise(at).writing} is not performed by one tool call")
+        run.not_applicable(f"a call that performs {exercise(at).writing} has no argument that it cannot do without")
     run.fails(there, *VALIDATION, outcome=NOTHING_SENT, requirement="ERR-007")
     if at.subject.reconnects:
         await at.prove()

@@ -129,6 +129,16 @@ class Command:
         others = ({**first, name: index} for name, draw in self.draws.items() for index in draw.ends() if index)
         return itertools.islice(itertools.chain((first,), others), _MOST_EXAMPLES)
 
+    def inputs_of(self, argument: str, operation: str) -> list[tuple[str, str]]:
+        """Return the inputs that an argument has a part in, each behind its operation; that of the command's first effect is given."""
+        effects = ((operation, self.effect), *((one.operation, one.effect) for one in self.then))
+        return [
+            (performed, name)
+            for performed, effect in effects
+            for name, template in effect.items()
+            if argument in names_in(template)
+        ]
+
     @property
     def is_ambiguous(self) -> bool:
         """Whether the arguments cannot be told from their effect."""

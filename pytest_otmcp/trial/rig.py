@@ -243,6 +243,13 @@ class Rig(WriteGate):
         (part, *_) = sorted(names_in(binding.command.effect[name]))
         return (binding.command.arguments(inputs) or {}).get(part)
 
+    def argument_drawn(self, operation: str, part: str, **inputs: object) -> str | None:
+        """Return the argument of the tool that is given what a named command draws under this name, as it is; None where none is."""
+        cases = self.bindings(operation)
+        binding = next((case for case in cases or () if case.fits(inputs)), None)
+        given = {} if binding is None else binding.arguments
+        return next((name for name, value in given.items() if value == f"${part}"), None)
+
     def tool_of(self, operation: str, **inputs: object) -> str | None:
         """Return the tool that performs an operation; None where it is not performed by one tool call."""
         cases = self.bindings(operation)

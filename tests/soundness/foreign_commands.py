@@ -103,7 +103,10 @@ def modbus_valves(lie: str | None, read_only: bool) -> Shape:
         return await did(f"{valve} is open", lambda: coil(VALVES[which], True))
 
     async def close_valve(valve: str) -> Result:
-        return await did(f"{valve} is closed", lambda: coil(VALVES[valve], False))
+        meant = [name for name in VALVES if (name in valve if lie == "guesses-words" else name == valve)]
+        if not meant:
+            return prose(f"Error: invalid arguments: there is no valve {valve!r}", is_error=True)
+        return await did(f"{valve} is closed", lambda: coil(VALVES[meant[0]], False))
 
     async def press_button(button: str) -> Result:
         return await did(f"{button} was pressed", lambda: coil(BUTTONS[button], True))
@@ -145,7 +148,7 @@ def modbus_valves(lie: str | None, read_only: bool) -> Shape:
         tools={
             "plant_status": ({}, plant_status),
             "open_valve": (valve, open_valve),
-            "close_valve": (valve, close_valve),
+            "close_valve": ({"valve": "string"}, close_valve),
             "press_button": ({"button": {"type": "string", "enum": list(BUTTONS)}}, press_button),
             "set_pump_speed": ({"percent": percent}, set_pump_speed),
             "start_batch": ({"litres": {"type": "integer", "minimum": 1, "maximum": 500}}, start_batch),
@@ -208,6 +211,10 @@ def mqtt_lights(lie: str | None, read_only: bool) -> Shape:
         return await lamp(light, state="ON" if on else "OFF")
 
     async def all_lights(state: str) -> Result:
+        if lie == "guesses-words":
+            state = "ON" if "ON" in state else "OFF"
+        if state not in ("ON", "OFF"):
+            return structured({"error": {"kind": "invalid", "message": "invalid arguments: ON or OFF"}}, is_error=True)
         rooms = (
             ["hall", "kitchen"]
             if lie == "hall-first"
@@ -238,7 +245,7 @@ def mqtt_lights(lie: str | None, read_only: bool) -> Shape:
                 set_brightness,
             ),
             "switch_light": ({"light": light, "on": "boolean"}, switch_light),
-            "all_lights": ({"state": {"type": "string", "enum": ["ON", "OFF"]}}, all_lights),
+            "all_lights": ({"state": "string"}, all_lights),
             "ring": ({}, ring),
         },
         strict=True,

@@ -33,7 +33,9 @@ LIES = {
     ("modbus-valves", "starts-again"): ("WR-014", "WR-003 WR-014"),
     ("modbus-valves", "starts-regardless"): ("WR-014", "WR-014"),
     ("modbus-valves", "spares-the-device"): ("WR-014", "WR-014"),
+    ("modbus-valves", "guesses-words"): ("WR-014", "WR-014"),
     ("mqtt-lights", "spares-the-device"): ("WR-014", "WR-014"),
+    ("mqtt-lights", "guesses-words"): ("WR-014", "WR-014"),
     ("mqtt-lights", "hall-first"): ("WR-014", "WR-014"),
     ("mqtt-lights", "kitchen-alone"): ("WR-014", "WR-014"),
     ("mqtt-lights", "writes-nothing"): ("WR-014", "WR-014"),
@@ -202,6 +204,14 @@ def test_named_commands_are_driven_on_every_protocol(judge_foreign: Judge, proto
     assert passing(results) == on(protocol, rows), words(results)
 
 
+INAPPLICABLE = {
+    # Datagrams have no connection that is refused or reset.
+    "ethercat": "ERR-005",
+    # Each argument of its command is fixed, or holds two of the values that are drawn.
+    "profinet": "ERR-005 ERR-007 MCP-005",
+}
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     "protocol",
@@ -216,6 +226,5 @@ def test_an_adapter_that_reads_by_operations_and_writes_by_commands_is_accused_o
 ) -> None:
     results = judge_foreign("named-everywhere", tasks=checks_of(protocol))
     assert failing(results) == set(), words(results)
-    assert passing(results) >= on(
-        protocol, "MCP-004 MCP-005 ERR-001 ERR-005 ERR-007 TMO-003 REC-001 WR-001 WR-002 WR-014"
-    )
+    rows = on(protocol, "MCP-004 MCP-005 ERR-001 ERR-005 ERR-007 TMO-003 REC-001 WR-001 WR-002 WR-014")
+    assert passing(results) >= rows - on(protocol, INAPPLICABLE.get(protocol, "")), words(results)
