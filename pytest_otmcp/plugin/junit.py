@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 import pytest
 from _pytest.junitxml import xml_key
 
 from ..core.text import one_line
+from .collection import is_shipped_id
 
 if TYPE_CHECKING:
     from .controller import RunRecorder
@@ -17,10 +19,20 @@ __all__ = ["JUnitFile", "tell_junit"]
 
 class JUnitFile:
     """A plugin that has a run which the kit refuses, or which was interrupted, in the JUnit file as an error: a file without failures looks
-    like one of a run in which nothing failed."""
+    like one of a run in which nothing failed. The classes of the suite's own items have the same name wherever the kit is installed."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Name the item's class by the suite's module. pytest names it by the file, such as
+        ``.venv.lib.python3.11.site-packages.pytest_otmcp.conformance.test_normal``, so that dashboards lose its history when the
+        environment moves; a name that is there already stays."""
+        file = self._config.stash.get(xml_key, None)
+        if file is not None and is_shipped_id(self._config, report.nodeid):
+            module = PurePath(report.nodeid.partition("::")[0]).stem
+            file.node_reporter(report).attrs.setdefault("classname", f"pytest_otmcp.conformance.{module}")
 
     def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
         """Take the sentence with which the run ends, as pytest's own file takes an internal error."""

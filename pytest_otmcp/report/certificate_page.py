@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..core.text import counted
+from ..core.verdict import INEXPRESSIBLE, UNBOUND
 from ..protocols.protocol import FACETS
 from ..protocols.registry import protocols
 from ..suite.requirements import Level
@@ -86,30 +87,41 @@ def _passed(protocol: str, told: Mapping[str, Any]) -> str:
 
 
 def _not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield what the run says nothing about: whose it is, what, and why not."""
+    """Yield what the run says nothing about: whose it is, what, and why not; what has one reason stands together."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for name, what, why in _each_not_tested(told):
+        found.setdefault((name, why), []).append(what)
+    yield from ((name, ", ".join(what), why) for (name, why), what in found.items())
+
+
+def _each_not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     for protocol, facts in told["adapters"].items():
         name, facets = protocols()[protocol].name, facts["facets"]
-        yield from ((name, tool, "a tool whose answers were never judged") for tool in facts["tools_never_called"])
+        yield from ((name, tool, "tools whose answers were never judged") for tool in facts["tools_never_called"])
         yield from (
             (name, facet, f"the vendor does not claim it: {why}") for facet, why in facets["not_claimed"].items()
         )
         yield from ((name, facet, "claimed, and no item needed it") for facet in facets["claimed_not_exercised"])
         yield from ((name, output, "not found in its answers") for output in facts["outputs_not_judged"])
-    reasons: dict[str, list[str]] = {}
     for item, why in told["not_applicable"].items():
-        reasons.setdefault(why, []).append(item)
-    for why, items in reasons.items():
         facet, _, reason = why.partition(": ")
         protocol, _, name = facet.partition(".")
         if protocol not in protocols() or not reason:
-            yield "", ", ".join(items), why
+            yield "", item, _without_values(why)
         # What the subject does not speak is not about it.
         elif protocol in told["adapters"]:
             yield (
                 protocols()[protocol].name,
-                ", ".join(one.removesuffix(f".{protocol}") for one in items),
+                item.removesuffix(f".{protocol}"),
                 f"{_in_words(protocol, name)}: {reason}",
             )
+
+
+def _without_values(reason: str) -> str:
+    """Return a reason without the values that an item has drawn, which tell nobody anything a year later."""
+    if not reason.startswith((INEXPRESSIBLE, UNBOUND)):
+        return reason
+    return f"{reason.partition(' with ')[0]} as it is asked for here"
 
 
 def _in_words(protocol: str, facet: str) -> str:

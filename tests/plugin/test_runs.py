@@ -77,9 +77,13 @@ def test_a_narrowed_run_is_recorded_and_called_incomplete(repository: Repository
     assert {entry["kind"] for entry in sample["device"]} == {"request", "response"}
     # Tables and figures compare items: whoever tries two of them does not wait for them, and none of an earlier run stays.
     assert {path.name for path in outcome.report.iterdir()} == {"run.json", "report.html", "summary.md", "verdict.json"}
-    names = [case.get("name") for case in ElementTree.parse(repository.root / "junit.xml").iter("testcase")]
+    cases = ElementTree.parse(repository.root / "junit.xml").iter("testcase")
     # The last says that it was narrowed: a file without it would look like one of a run in which nothing is missing.
-    assert names == ["test_normal[M2]", "test_fault[FM1]", "run"]
+    assert [(case.get("classname"), case.get("name")) for case in cases] == [
+        ("pytest_otmcp.conformance.test_normal", "test_normal[M2]"),
+        ("pytest_otmcp.conformance.test_fault", "test_fault[FM1]"),
+        ("otmcp", "run"),
+    ]
 
 
 def test_the_record_is_plain_json(wrong_value: Outcome) -> None:

@@ -136,9 +136,18 @@ def test_what_was_not_tested_stands_above_the_digests(statement: dict[str, Any])
     assert "by the vendor or whom he asked: it is not signed." in words
 
 
+def test_a_reason_stands_once_and_without_values_that_were_drawn(statement: dict[str, Any]) -> None:
+    inexpressible = "no named command of the subject can express write_holding with address=1, value="
+    statement["predicate"]["otmcp"]["not_applicable"] = {"FM2": f"{inexpressible}70000", "CON-004": f"{inexpressible}17"}
+    assert (
+        "no named command of the subject can express write_holding as it is asked for here ( FM2, CON-004 )"
+        in shown(statement)
+    )
+
+
 def test_tools_that_were_never_called_are_named() -> None:
     record = conformant_run()
     record["subject"]["adapters"]["modbus"]["calls"] = {"flip": 0, "read": 7, "reset": 0}
     statement = certificate(record, "ab" * 32, tasks_by_id(suites=SUITES))
     assert statement["predicate"]["otmcp"]["adapters"]["modbus"]["tools_never_called"] == ["flip", "reset"]
-    assert "( flip ) Modbus: a tool whose answers were never judged ( reset )" in shown(statement)
+    assert "Modbus: tools whose answers were never judged ( flip, reset )" in shown(statement)
