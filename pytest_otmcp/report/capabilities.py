@@ -1,7 +1,7 @@
 """The capabilities that an adapter has earned, for each protocol, and the items that decided them. Pure.
 
-A capability is earned when every item behind it passed, and no finding of any item is about one of its requirements. A capability with a
-missing item is undecided, not earned: a narrowed run can only earn less. Writing is earned by an adapter alone that was taken through an
+A capability is earned when every item behind it passed, and no finding of any item is about one of its requirements. A capability with an
+item that is missing, or that failed for requirements of other capabilities alone, is undecided: a narrowed run can only earn less. Writing is earned by an adapter alone that was taken through an
 outage: there its writes have failed, and said so. The items say which capabilities they are about, checks by the row that they judge; the
 suite says which items there should be. What a subject claims is said by its adapters' facts, never by what happened to apply.
 """
@@ -109,11 +109,18 @@ def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
     lost = _lost(run)
     items = {item["id"]: item for item in run["items"]}
     rows = [
-        (heading, wanted[name], lost[name], _not_claimed(run, heading.facet), _claiming(run, name))
+        (
+            heading,
+            wanted[name],
+            lost[name],
+            _elsewhere(run, name),
+            _not_claimed(run, heading.facet),
+            _claiming(run, name),
+        )
         for name, heading in _HEADINGS.items()
     ]
     if further:
-        rows.append((_FURTHER, further, {}, set(), {*families(run), *spoken_families(run)}))
+        rows.append((_FURTHER, further, {}, set(), set(), {*families(run), *spoken_families(run)}))
     away = wanted[Capability.OUTAGES]
     return [
         (
@@ -123,14 +130,17 @@ def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
                 if family in unclaimed
                 else _also_away(
                     heading,
-                    _of_values(heading, _grade(ids.get(family, ()), items, losing.get(family, ()), family in claiming)),
+                    _of_values(
+                        heading,
+                        _grade(ids.get(family, ()), items, losing.get(family, ()), elsewhere, family in claiming),
+                    ),
                     away.get(family, ()),
                     items,
                 )
                 for family in dict.fromkeys([*families(run), *spoken_families(run)])
             },
         )
-        for heading, ids, losing, unclaimed, claiming in rows
+        for heading, ids, losing, elsewhere, unclaimed, claiming in rows
     ]
 
 
@@ -166,6 +176,23 @@ def _lost(run: Run) -> dict[str, _Ids]:
         for name in {capability for row in rows for capability in row.capabilities}:
             lost[name].setdefault(item["family"], []).append(item["id"])
     return lost
+
+
+def _elsewhere(run: Run, capability: str) -> set[str]:
+    """Return the ids of the items that failed for requirements of other capabilities alone.
+
+    An item about write protection may find a malformed answer and nothing that was written.
+    """
+    return {
+        item["id"]
+        for item in run["items"]
+        if item["status"] == Status.FAIL
+        and (findings := failing(findings_of(item)))
+        and all(
+            (row := requirements().get(str(finding["requirement"]))) is not None and capability not in row.capabilities
+            for finding in findings
+        )
+    }
 
 
 def _capabilities(item: Item) -> Collection[str]:
@@ -244,7 +271,9 @@ def _also_away(heading: Heading, found: Earned, outages: Sequence[str], items: M
     return replace(found, grade=Grade.UNDECIDED if open_ else Grade.NOT_ASKED, because=open_, without=without)
 
 
-def _grade(wanted: Sequence[str], items: Mapping[str, Item], losing: Sequence[str], claimed: bool) -> Earned:
+def _grade(
+    wanted: Sequence[str], items: Mapping[str, Item], losing: Sequence[str], elsewhere: Collection[str], claimed: bool
+) -> Earned:
     # What was seen of a session beside the steps is counted once, at its own row.
     statuses = {
         name: None if name not in items else Status.PASS if passed_beside(items[name]) else items[name]["status"]
@@ -255,13 +284,14 @@ def _grade(wanted: Sequence[str], items: Mapping[str, Item], losing: Sequence[st
         return tuple(name for name, status in statuses.items() if status in found)
 
     unclaimed = select(Status.NOT_APPLICABLE)
-    if failed := select(Status.FAIL, Status.NOT_TESTABLE):
+    beside = tuple(name for name in select(Status.FAIL) if name in elsewhere)
+    if failed := tuple(name for name in select(Status.FAIL, Status.NOT_TESTABLE) if name not in beside):
         return Earned(grade=Grade.NOT_EARNED, because=tuple(dict.fromkeys((*failed, *losing))), without=unclaimed)
     if losing and (claimed or len(unclaimed) < len(wanted)):
         return Earned(grade=Grade.NOT_EARNED, because=tuple(losing), without=unclaimed)
     if not wanted:
         return Earned(grade=Grade.NOT_TESTED)
-    if undecided := select(Status.KIT_ERROR, Status.INTERRUPTED, None):
+    if undecided := (*beside, *select(Status.KIT_ERROR, Status.INTERRUPTED, None)):
         return Earned(grade=Grade.UNDECIDED, because=undecided, without=unclaimed)
     if passed := select(Status.PASS):
         return Earned(grade=Grade.EARNED, because=passed, without=unclaimed)

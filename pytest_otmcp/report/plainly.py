@@ -91,6 +91,7 @@ def in_words(
     """
     if not calls or code in _OF_NO_CALL:
         return None
+    every = calls
     named = [call for call in calls if message.startswith(f"{_label(call)}: ")]
     known = finding_codes().get(code)
     if code in _NO_REPLY:
@@ -112,8 +113,14 @@ def in_words(
     # What is no request reached it all the same.
     during = during or [entry for entry in entries if entry.get("kind") in _NO_REQUESTS and _during(call, entry)]
     # What is told too early comes after the answer.
-    after = [] if during or not evidence else [entry for entry in requests if _after(call, entry)]
-    late = [entry for entry in after if _described(entry) in (evidence or "")]
+    after = [] if during else [entry for entry in requests if _after(call, entry)]
+    if evidence:
+        late = [entry for entry in after if _described(entry) in evidence]
+    else:
+        # What no answer confirms, as a message of QoS 0, may be on its way when the call is answered.
+        late = [
+            entry for entry in after if entry.get("state_changing") and _writes(call) and _last(every, entry) is call
+        ]
     shown = [entry for entry in during if entry.get("state_changing")] or during or late
     return InWords(
         asked=clipped(f"{call.get('tool')} {_json(told_in_words(call.get('arguments') or {}))}", _LETTERS)
@@ -175,6 +182,14 @@ def _during(call: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
 def _after(call: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
     received, at = call.get("received_ns"), entry.get("t_ns")
     return isinstance(received, int) and isinstance(at, int) and at > received
+
+
+def _last(calls: Sequence[Mapping[str, Any]], entry: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the call that was made last before an entry."""
+    return max(
+        (call for call in calls if (call.get("sent_ns") or 0) <= entry["t_ns"]),
+        key=lambda call: call.get("sent_ns") or 0,
+    )
 
 
 def _said(call: Mapping[str, Any]) -> str:

@@ -138,7 +138,10 @@ def test_what_was_not_tested_stands_above_the_digests(statement: dict[str, Any])
 
 def test_a_reason_stands_once_and_without_values_that_were_drawn(statement: dict[str, Any]) -> None:
     inexpressible = "no named command of the subject can express write_holding with address=1, value="
-    statement["predicate"]["otmcp"]["not_applicable"] = {"FM2": f"{inexpressible}70000", "CON-004": f"{inexpressible}17"}
+    statement["predicate"]["otmcp"]["not_applicable"] = {
+        "FM2": f"{inexpressible}70000",
+        "CON-004": f"{inexpressible}17",
+    }
     assert (
         "no named command of the subject can express write_holding as it is asked for here ( FM2, CON-004 )"
         in shown(statement)

@@ -725,6 +725,15 @@ def test_bytes_into_a_dead_connection_and_what_came_too_late_are_what_the_device
     told = in_words([call], [late], "told too early", "told_too_early", "FC 06 address 20 quantity 1 values [7]")
     assert told is not None
     assert told.seen == ("(after the answer) FC 06 address 20 quantity 1 values [7]",)
+    # A write that nothing confirms may be on its way when the call is answered, until another call is made.
+    call |= {"adapter": "modbus", "operation": "write_holding"}
+    late["state_changing"] = True
+    told = in_words([call], [late])
+    assert told is not None
+    assert told.seen == ("(after the answer) FC 06 address 20 quantity 1 values [7]",)
+    told = in_words([call, {**call, "ok": True, "sent_ns": 12, "received_ns": 30}], [late])
+    assert told is not None
+    assert told.seen == ()
 
 
 def test_what_a_finding_shows_of_the_device_is_shown_with_the_call_during_which_it_came() -> None:

@@ -158,6 +158,13 @@ def test_a_recommendation_a_fault_of_the_kit_and_a_rule_about_answers_take_nothi
         assert grades(modbus("M3"), AWAY, other)["Writing"]["Modbus"] == kept
 
 
+def test_an_item_that_failed_for_something_else_does_not_show_a_capability_and_does_not_take_it_away() -> None:
+    malformed = {**modbus("M3", "FAIL"), "findings": [finding("no_envelope", "a text", "ENV-001")]}
+    assert grades(malformed, AWAY)["Writing"]["Modbus"] == Earned(grade=Grade.UNDECIDED, because=("M3",))
+    written = {**malformed, "findings": [*malformed["findings"], finding("device_differs", "it holds 4464", "WR-001")]}
+    assert grades(written, AWAY)["Writing"]["Modbus"] == Earned(grade=Grade.NOT_EARNED, because=("M3",))
+
+
 def test_what_is_claimed_is_lost_by_a_finding_though_no_item_about_it_applies_and_what_is_not_claimed_is_not() -> None:
     record = run([modbus("M3", "NOT_APPLICABLE"), refused("FM2", "WR-001")])
     by_name = {capability.name: by_family for capability, by_family in earned(record)}
