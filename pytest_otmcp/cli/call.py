@@ -101,7 +101,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         show_json(_document(reply, entries, inputs))
         return 0 if reply.success and not reply.faulty else 1
-    for line in _shown(reply, entries, inputs, shutil.get_terminal_size(_FALLBACK).columns):
+    named = args.operation in adapter.commands
+    for line in _shown(reply, entries, inputs, shutil.get_terminal_size(_FALLBACK).columns, named=named):
         tell(line)
     return 0 if reply.success and not reply.faulty else 1
 
@@ -268,7 +269,19 @@ async def _perform(
 # -- what is shown ----------------------------------------------------------------------------------------------
 
 
-def _shown(reply: Reply, entries: Sequence[JournalEntry], inputs: Mapping[str, object], width: int) -> Iterator[str]:
+def _has_effect(protocol: str, operation: str, inputs: Mapping[str, object], entries: Sequence[JournalEntry]) -> bool:
+    """Tell whether a request asks the device for the first effect of a named command; also where that cannot be told."""
+    from ..protocols.exercise import THEN, Asked
+
+    exercise = protocols()[protocol].exercise
+    recognised = None if exercise is None else exercise.recognised.get(operation)
+    asked = Asked(operation=operation, inputs={name: value for name, value in inputs.items() if name != THEN})
+    return recognised is None or any(recognised(entry, asked) for entry in entries if entry["state_changing"])
+
+
+def _shown(
+    reply: Reply, entries: Sequence[JournalEntry], inputs: Mapping[str, object], width: int, *, named: bool
+) -> Iterator[str]:
     from ..report.exchange import conversation
     from ..report.lanes import lanes
 
@@ -303,7 +316,10 @@ def _shown(reply: Reply, entries: Sequence[JournalEntry], inputs: Mapping[str, o
         changed = sum(entry["state_changing"] for entry in entries)
         yield f"device: it saw {changed or 'no'} request{'' if changed == 1 else 's'} that change{'s' if changed == 1 else ''} its state"
         # Where outputs are exchanged in cycles, a value that was there before changes nothing.
-        if not any(entry["request"] for entry in entries):
+        other = named and not _has_effect(reply.adapter, reply.operation, inputs, entries)
+        if other and changed:
+            yield "device: none of them has the effect that the subject file states for this command"
+        if other or not any(entry["request"] for entry in entries):
             yield "reply and device contradict each other"
     yield from _wrapped("request frame", _frame(reply.exchange.request), width)
     yield from _wrapped("response frame", _frame(reply.exchange.response), width)

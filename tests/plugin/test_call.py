@@ -220,6 +220,13 @@ def test_a_named_command_is_called_by_its_name_and_arguments(here: Path, capsys:
     adapter, device = rows(shown)
     assert '-> write_register {"address": 40, "value": 70}' in adapter
     assert any(line.startswith("-> request: write single register") for line in device)
+    assert "contradict" not in shown
+    stated = 'effect.write_holding = { address = 40, value = "$percent'
+    assert stated in COMMAND
+    (here / "otmcp.toml").write_text(COMMAND.replace(stated, f"{stated} * 10"))
+    lines = called(capsys, "set_pump", "percent=70")[1].splitlines()
+    assert "device: none of them has the effect that the subject file states for this command" in lines
+    assert "reply and device contradict each other" in lines
 
 
 @pytest.mark.parametrize(
