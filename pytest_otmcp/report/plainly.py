@@ -46,7 +46,7 @@ _DUE = {
         "no_reply": [(r"no reply within the deadline of ([\d.]+ s)", "an answer within {0}")],
         "other_endpoint": [(r"(meta\.endpoint) should be that of the device, (.+?), it is ", _OUTPUT)],
         "wrong_value": [
-            (r"\): ([\w './-]+?) should be (.+?), the reply says ", _OUTPUT),
+            (r"\): ([\w './,-]+?) should be (.+?), the reply says ", _OUTPUT),
             (r"\): expected (.+?), the reply says ", "{0}"),
         ],
     }.items()

@@ -19,6 +19,8 @@ from .reply import Reply
 __all__ = ["failed", "succeeded"]
 
 _DECIMALS = range(6)
+_AT_A_GLANCE = 16
+"""Elements of a list that a sentence may repeat."""
 _OWN_LIMIT = re.compile(r"\brunaway\b|\brate[ _-]?limit|\btoo many (?:calls|requests)\b|\bthrottl", re.IGNORECASE)
 """Words of adapters that refuse a call for the number of calls before it."""
 
@@ -53,7 +55,7 @@ def succeeded(reply: Reply, *, requirement: str | None = None, **outputs: object
     return [
         Finding(
             code="wrong_value",
-            message=f"{reply.label}: {name} should be {_shown(expected)}, the reply says {_shown(reply.outputs.get(name))}",
+            message=f"{reply.label}: {_differing(name, expected, reply.outputs[name])}",
             requirement="ENC-003" if _rounded(expected, reply.outputs[name]) else requirement,
             evidence=_shown(reply.envelope),
         )
@@ -71,6 +73,19 @@ def _is_own_limit(reply: Reply) -> bool:
         return False
     said = reply.member("error", "message")
     return reply.error_code == "rate_limited" or (isinstance(said, str) and _OWN_LIMIT.search(said) is not None)
+
+
+def _differing(name: str, expected: object, found: object) -> str:
+    """Say in what an output differs; of a long list its length, or its first element that does: two long lists look alike."""
+    if isinstance(expected, list) and isinstance(found, list) and len(expected) > _AT_A_GLANCE:
+        if len(expected) != len(found):
+            return f"{name} should be a list of {len(expected)}, the reply says a list of {len(found)}"
+        place = next(index for index, pair in enumerate(zip(expected, found, strict=True)) if not same_json(*pair))
+        return (
+            f"{name}, element {place} of {len(expected)}, should be {_shown(expected[place])}, "
+            f"the reply says {_shown(found[place])}"
+        )
+    return f"{name} should be {_shown(expected)}, the reply says {_shown(found)}"
 
 
 def _rounded(expected: object, found: object) -> bool:

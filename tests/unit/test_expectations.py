@@ -58,6 +58,19 @@ def test_another_value_or_another_type_is_told(value: Any) -> None:
     assert f"value should be 41, the reply says {json.dumps(value)}" in finding.message
 
 
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        ([*range(125)], "values should be a list of 126, the reply says a list of 125"),
+        ([*range(125), 0], "values, element 125 of 126, should be 125, the reply says 0"),
+        (["0", *range(1, 125), 0], 'values, element 0 of 126, should be 0, the reply says "0"'),
+    ],
+)
+def test_two_long_lists_are_told_apart(found: list[Any], words: str) -> None:
+    (finding,) = succeeded(success(values=found), values=[*range(126)])
+    assert words in finding.message
+
+
 @pytest.mark.parametrize("words", ["Runaway guard tripped: 25 equal calls", "rate-limit reached", "Too many requests"])
 def test_a_limit_of_the_adapters_own_is_named_and_breaks_no_rule_of_the_call(words: str) -> None:
     error = {"code": "unclassified", "message": words}
