@@ -70,6 +70,11 @@ def _quotes(call: Call, quoted: str) -> bool:
     return any(quoted[:60] in text for text in texts) or quoted.split(" ")[0] in ("None", "null", "none", "nothing")
 
 
+def _has_list(call: Call, quoted: str) -> bool:
+    """An output is a list of that many."""
+    return any(isinstance(value, list) and len(value) == int(quoted) for value in (call.get("outputs") or {}).values())
+
+
 def _error_code(call: Call, quoted: str) -> bool:
     return repr(call["error_code"]) == quoted
 
@@ -104,6 +109,7 @@ _RULES: Sequence[tuple[re.Pattern[str], Told]] = [
         (r"answered after \d+ ms|answered with a", _answered),
         # A reading of the reply, not its words.
         (r"the reply says (?:\[.*\] of \[|source |that it is )", _answered),
+        (r"the reply says a list of (\d+)$", _has_list),
         (r"the reply says (.*?)(?:….*)?$", _quotes),
         (r"says itself that it is not the device's: (.*)", _quotes),
     )
