@@ -46,12 +46,16 @@ def test_known_deviations_make_the_exit_code_green_and_not_the_verdict(repositor
     assert failing
 
     repository.subject("wrong-value", more=deviations(failing, "2999-01-01"))
-    excused = repository.pytest("--otmcp-reps=1")
+    excused = repository.pytest("--otmcp-reps=1", "--junit-xml=junit.xml")
     assert excused.code == 0, excused.output
     assert excused.verdict == "NOT CONFORMANT"
     assert sorted(excused.record["footer"]["deviations"]["used"]) == sorted(failing)
     excuse = f"known deviation {failing[0]} until 2999-01-01: it fails, and is excused from the exit code"
     assert excuse in " ".join(excused.output.split())
+    (suite,) = ElementTree.parse(repository.root / "junit.xml").iter("testsuite")
+    assert (suite.get("failures"), suite.get("errors")) == ("0", "0")
+    expected = [case.get("message") for case in suite.iter("skipped") if case.get("type") == "pytest.xfail"]
+    assert expected == ["known deviation until 2999-01-01: known"] * len(failing)
     told = json.loads((excused.report / "verdict.json").read_text())["deviations"]
     assert sorted(one["item"] for one in told) == sorted(failing)
 
