@@ -222,7 +222,9 @@ def _statement(certificate: Certificate) -> Any:
         raise Refusal(cut(f"refused: {certificate.name}: not strict JSON: {reason}")) from None
     types = (statement.get("_type"), statement.get("predicateType")) if isinstance(statement, dict) else None
     if types != (STATEMENT_TYPE, PREDICATE_TYPE):
-        raise Refusal(f"refused: {certificate.name}: not an in-toto statement about a test result")
+        swapped = isinstance(statement, dict) and str(statement.get("schema")).startswith("otmcp-run/")
+        hint = "; it is a run record: the certificate is named first, the record behind it" if swapped else ""
+        raise Refusal(f"refused: {certificate.name}: not an in-toto statement about a test result{hint}")
     return statement
 
 

@@ -525,6 +525,11 @@ def test_what_is_no_certificate_is_refused(files: tuple[Path, Path], text: str) 
     assert re.search("not strict JSON|not an in-toto statement", refusal(*files))
 
 
+def test_files_in_the_wrong_order_are_told(files: tuple[Path, Path]) -> None:
+    certificate, record = files
+    assert "it is a run record: the certificate is named first" in refusal(record, certificate)
+
+
 def kinds(document: Any) -> dict[str, tuple[str | int, ...]]:
     """Return one path for every kind of field, whatever item or list element it is in."""
     return {"/".join("*" if isinstance(name, int) else name for name in path): path for path in leaves(document)}
