@@ -115,29 +115,34 @@ async def subscriptions_return(run: Repetition, mqtt: Rig) -> None:
     again. Do the same after the broker has ended the connection.
 
     Said: success; an adapter that lists its subscriptions may list this one as inactive, or not at all.
-    Seen: the subscription and the message that the broker sends to the adapter.
+    Seen: the subscription and the message that the broker sends to the adapter, with no lower QoS than before the outage.
     Why: an alarm that is subscribed to and never comes is worse than none.
     """
     topic = f"otmcp/alarm/{run.rng.getrandbits(32):08x}"
-    run.must_succeed(await subscribe(mqtt, topic))
-    await _still_heard(run, mqtt, topic)
+    takes_qos = mqtt.subject.accepts_input("subscribe", "qos")
+    qos = int(takes_qos and mqtt.excess("subscribe", filter=topic, qos=1) is None)
+    run.must_succeed(await subscribe(mqtt, topic, qos=qos))
+    before = await _still_heard(run, mqtt, topic)
     await mqtt.stop_device()
     await mqtt.start_device()
     await answers_again(run, mqtt)
-    await _still_heard(run, mqtt, topic)
+    await _still_heard(run, mqtt, topic, before)
     await mqtt.device.poke(disconnect={"client_id": None, "reason_code": 139})
     await answers_again(run, mqtt)
-    await _still_heard(run, mqtt, topic)
+    await _still_heard(run, mqtt, topic, before)
 
 
-async def _still_heard(run: Repetition, mqtt: Rig, topic: str) -> None:
+async def _still_heard(run: Repetition, mqtt: Rig, topic: str, before: int = 0) -> int:
+    """Publish on a topic, and expect that the adapter is sent it with at least this QoS; return the QoS."""
     await mqtt.wait_for(kind="SUBACK", direction="out", timeout_s=mqtt.subject.recovery_s)
     nonce = f"alarm-{run.rng.getrandbits(64):016x}".encode()
-    await publish_from_kit(mqtt, topic, nonce)
+    await publish_from_kit(mqtt, topic, nonce, qos=1)
     await mqtt.wait_for(kind="PUBLISH", direction="out", topic=topic, timeout_s=_DELIVERED_S)
-    lost = mqtt_oracle.subscription_lost(await mqtt.journal(), topic=topic, payload=nonce)
+    journal = await mqtt.journal()
+    lost = mqtt_oracle.subscription_lost(journal, topic=topic, payload=nonce, qos=before)
     if lost and await _is_listed(mqtt, topic):
         run.witnessed(lost)
+    return mqtt_oracle.delivered_qos(journal, topic=topic, payload=nonce) or 0
 
 
 async def _is_listed(mqtt: Rig, topic: str) -> bool:

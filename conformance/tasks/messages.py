@@ -45,9 +45,9 @@ SETTLING_S = 0.25
 Messages = Mapping[str, tuple[str, str]]
 
 
-async def publish_from_kit(mqtt: Rig, topic: str, payload: bytes) -> None:
-    """Let the broker publish a message of the kit, with QoS 0 and not retained."""
-    message = {"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": 0, "retain": False}
+async def publish_from_kit(mqtt: Rig, topic: str, payload: bytes, *, qos: int = 0) -> None:
+    """Let the broker publish a message of the kit that is not retained."""
+    message = {"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": qos, "retain": False}
     await mqtt.device.poke(publish=message)
 
 

@@ -275,15 +275,30 @@ def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | 
     ]
 
 
-def subscription_lost(entries: Entries, *, topic: str, payload: bytes) -> list[Finding]:
-    """Expect that the broker delivered this message, because the adapter had subscribed before the broker was restarted."""
-    if not delivered(entries, topic=topic, payload=payload):
+def delivered_qos(entries: Entries, *, topic: str, payload: bytes) -> int | None:
+    """Return the highest QoS with which the broker delivered this message to the adapter; None where it did not."""
+    messages = adapter_packets(entries, "PUBLISH", "out", None)
+    return max((int(entry.get("qos", 0)) for entry in messages if _is(entry, topic, payload)), default=None)
+
+
+def subscription_lost(entries: Entries, *, topic: str, payload: bytes, qos: int = 0) -> list[Finding]:
+    """Expect that the broker delivered this message, because the adapter had subscribed before the broker was restarted.
+
+    Args:
+        qos: with which a message came before the restart.
+    """
+    found = delivered_qos(entries, topic=topic, payload=payload)
+    if found is not None and found >= qos:
         return []
+    said = (
+        "the broker had nobody to send it to"
+        if found is None
+        else f"with QoS {qos} as before, the broker sent it with QoS {found}: the adapter has subscribed again with less"
+    )
     return [
         Finding(
             code="subscription_lost",
-            message=f"a message on {topic!r} should have reached the adapter, which had subscribed before the restart, "
-            "the broker had nobody to send it to",
+            message=f"a message on {topic!r} should have reached the adapter, which had subscribed before the restart, {said}",
             requirement="REC-004",
             evidence=shown(entries),
         )

@@ -58,6 +58,23 @@ def stays_on_a_dead_connection(server: AdapterServer) -> None:
     modbus_link.Link._drop = drop
 
 
+def subscribes_with_less(server: AdapterServer) -> None:
+    """Make subscriptions again after an outage, with QoS 0."""
+    genuine = mqtt_link.Link._restore
+
+    async def restore(link: mqtt_link.Link, made: Any) -> None:
+        wanted = {text: subscription.qos for text, subscription in link.subscriptions.items()}
+        for subscription in link.subscriptions.values():
+            subscription.qos = 0
+        try:
+            await genuine(link, made)
+        finally:
+            for text, qos in wanted.items():
+                link.subscriptions[text].qos = qos
+
+    mqtt_link.Link._restore = restore
+
+
 def remembers_one_subscription(server: AdapterServer) -> None:
     """Make the oldest subscription again after an outage, and tell that all are active."""
     genuine = mqtt_link.Link._restore
@@ -118,6 +135,13 @@ DEFECTS: tuple[Defect, ...] = (
         "mqtt",
         "Of the subscriptions that died with the connection only the oldest is made again.",
         remembers_one_subscription,
+        "REC-004",
+    ),
+    defect(
+        "MU-65q",
+        "mqtt",
+        "Subscriptions that died with the connection are made again with QoS 0, whatever they were.",
+        subscribes_with_less,
         "REC-004",
     ),
     defect(
