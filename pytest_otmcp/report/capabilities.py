@@ -1,7 +1,7 @@
 """The capabilities that an adapter has earned, for each protocol, and the items that decided them. Pure.
 
 A capability is earned when every item behind it passed, and no finding of any item is about one of its requirements. A capability with an
-item that is missing, or that failed for requirements of other capabilities alone, is undecided: a narrowed run can only earn less. Writing is earned by an adapter alone that was taken through an
+item that is missing, or whose failure does not speak against it, is undecided: a narrowed run can only earn less. Writing is earned by an adapter alone that was taken through an
 outage: there its writes have failed, and said so. The items say which capabilities they are about, checks by the row that they judge; the
 suite says which items there should be. What a subject claims is said by its adapters' facts, never by what happened to apply.
 """
@@ -91,6 +91,9 @@ _HEADINGS: Mapping[str, Heading] = {
 }
 _FURTHER = Heading(name="Further requirements", meaning="the other items of the suite passed")
 
+_FORM = ("ENV", "KEY", "INJ")
+"""Areas of requirements about the form of what an adapter says, and about what it must not tell."""
+
 _READING, _WRITING = {False}, {True}
 _ANY = _READING | _WRITING
 _OPERATIONS = {Capability.READING: _READING, Capability.WRITING: _WRITING, Capability.WRITE_PROTECTION: _WRITING}
@@ -179,19 +182,24 @@ def _lost(run: Run) -> dict[str, _Ids]:
 
 
 def _elsewhere(run: Run, capability: str) -> set[str]:
-    """Return the ids of the items that failed for requirements of other capabilities alone.
+    """Return the ids of the items whose failure does not speak against a capability.
 
-    An item about write protection may find a malformed answer and nothing that was written.
+    That an answer has another form says nothing of what was read or written. With writes disabled, whatever is wrong is no matter of write
+    protection, as long as nothing was written.
     """
+
+    def speaks(requirement: str) -> bool:
+        row = requirements().get(requirement)
+        if row is None or capability in row.capabilities:
+            return True
+        return capability != Capability.WRITE_PROTECTION and requirement.partition("-")[0] not in _FORM
+
     return {
         item["id"]
         for item in run["items"]
         if item["status"] == Status.FAIL
         and (findings := failing(findings_of(item)))
-        and all(
-            (row := requirements().get(str(finding["requirement"]))) is not None and capability not in row.capabilities
-            for finding in findings
-        )
+        and not any(speaks(str(finding["requirement"])) for finding in findings)
     }
 
 
