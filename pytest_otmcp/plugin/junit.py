@@ -37,7 +37,8 @@ class JUnitFile:
         file = self._config.stash.get(xml_key, None)
         if file is not None and is_shipped_id(self._config, report.nodeid):
             module = PurePath(report.nodeid.partition("::")[0]).stem
-            file.node_reporter(report).attrs.setdefault("classname", f"{_CLASSES}{module}")
+            named = ".".join(filter(None, (file.prefix, f"{_CLASSES}{module}")))
+            file.node_reporter(report).attrs.setdefault("classname", named)
 
     def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
         """Take the sentence with which the run ends, as pytest's own file takes an internal error."""
@@ -79,7 +80,7 @@ def _excuse(file: LogXML, run: Mapping[str, Any]) -> None:
     for reporter in file.node_reporters_ordered:
         case = reporter.to_xml()
         named = re.fullmatch(r".*\[(.+)\]", case.get("name", ""))
-        if named is None or named[1] not in known or not case.get("classname", "").startswith(_CLASSES):
+        if named is None or named[1] not in known or _CLASSES not in case.get("classname", ""):
             continue
         deviation = known[named[1]]
         for failure in case.findall("failure"):
