@@ -110,10 +110,28 @@ async def a_modbus_write_has_its_effect(run: Repetition, modbus: Rig) -> None:
         codes += [] if refused.during(await modbus.journal()) else CONNECTION_FAULTS
     run.fails(refused, *codes, requirement="WR-001", code_requirement="ERR-002")
     await _coils_go_both_ways(run, modbus)
-    value, other = run.rng.sample(range(1, 0x10000), 2)
+    value, other = _two_values(run, modbus)
     change = {"unit": 1, "table": "holding_registers", "address": 1, "values": [other]}
     held, elsewhere = {"1/holding_registers/1": value}, {"address": 2, "value": other}
     await _again_after_a_change(run, modbus, change, held, elsewhere, address=1, value=value)
+
+
+_DRAWS = 2000
+"""Values that are drawn to find two that the schema of a tool allows: of 65535 it may be a thousand."""
+
+
+def _two_values(run: Repetition, modbus: Rig) -> tuple[int, int]:
+    """Return two values of a register that the schema of the tool allows, as far as they are found."""
+    first = run.rng.sample(range(1, 0x10000), 2)
+    found = [value for value in first if modbus.excess("write_holding", address=1, value=value) is None]
+    for _ in range(_DRAWS):
+        if len(found) == len(first):
+            break
+        value = run.rng.randrange(1, 0x10000)
+        if value not in found and modbus.excess("write_holding", address=1, value=value) is None:
+            found.append(value)
+    value, other = found if len(found) == len(first) else first
+    return value, other
 
 
 async def _again_after_a_change(
