@@ -46,6 +46,9 @@ _ATTEMPTS = 32
 _FIRST_ERROR = 400
 """First HTTP status of an error."""
 _TIMEOUT = httpx2.Timeout(30.0, read=330.0)
+_KEPT_S = 1.0
+"""Seconds for which an idle connection is used again. Servers close one after 5 (uvicorn, Node), the library's own value as well: a call that
+was sent in that very moment was lost, and the adapter was blamed for it."""
 
 
 class HttpTransport:
@@ -184,7 +187,8 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
     def __init__(self, recorder: FrameRecorder, walls: Walls | None, caller: Caller | None) -> None:
         # Both processes are on this machine, so proxies of the environment do not apply.
         # With the library's limit of 100 connections further calls would wait in the kit, and the adapter be blamed for it.
-        self._network = httpx2.AsyncHTTPTransport(trust_env=False, limits=httpx2.Limits(max_connections=None))
+        limits = httpx2.Limits(max_connections=None, keepalive_expiry=_KEPT_S)
+        self._network = httpx2.AsyncHTTPTransport(trust_env=False, limits=limits)
         # The library has a place for a network of one's own in what it is made of, and none in its own interface.
         self._network._pool._network_backend = _Backend(walls)
         self._recorder = recorder
