@@ -1,6 +1,7 @@
 """A server of streamable HTTP without an SDK: run as ``python http_server.py CONTENT-TYPE``, which is that of its answers to calls.
 
-With ``endless`` after it, an answer to a call never ends; with a number after it, calls are answered when so many wait at the same time.
+With ``endless`` after it, an answer to a call never ends; with ``kept``, connections stay, and an answer says the caller's port; with a
+number after it, calls are answered when so many wait at the same time.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-CONTENT_TYPE, ENDLESS = sys.argv[1], "endless" in sys.argv[2:]
+CONTENT_TYPE, ENDLESS, KEPT = sys.argv[1], "endless" in sys.argv[2:], "kept" in sys.argv[2:]
 TOGETHER = threading.Barrier(next((int(word) for word in sys.argv[2:] if word.isdecimal()), 1))
 
 
 class Server(BaseHTTPRequestHandler):
     """It speaks MCP of the year 2025, and has one tool, ``ping``."""
+
+    protocol_version = "HTTP/1.1" if KEPT else "HTTP/1.0"
 
     def do_POST(self) -> None:
         message = json.loads(self.rfile.read(int(self.headers["content-length"])))
@@ -28,6 +31,7 @@ class Server(BaseHTTPRequestHandler):
             self.answer("server-error", None, status=400, error=error)
         elif "id" not in message:
             self.send_response(202)
+            self.send_header("content-length", "0")
             self.end_headers()
         elif method == "initialize":
             info = {"name": "s", "version": "0"}
@@ -37,7 +41,8 @@ class Server(BaseHTTPRequestHandler):
             self.answer(message["id"], {"tools": [{"name": "ping", "inputSchema": {"type": "object"}}]})
         else:
             TOGETHER.wait()
-            self.answer(message["id"], {"content": []}, CONTENT_TYPE, endless=ENDLESS)
+            port = {"type": "text", "text": str(self.client_address[1])}
+            self.answer(message["id"], {"content": [port] if KEPT else []}, CONTENT_TYPE, endless=ENDLESS)
 
     def answer(
         self,

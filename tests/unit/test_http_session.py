@@ -114,6 +114,26 @@ async def test_a_content_type_is_taken_as_the_client_takes_it() -> None:
 
 
 @pytest.mark.asyncio
+async def test_a_connection_is_not_used_again_when_a_server_may_be_closing_it() -> None:
+    """Servers close idle ones, most of them after five seconds; a call that is sent in that moment is lost."""
+    async with session([sys.executable, str(SERVER), "application/json", "kept"], era="legacy") as http:
+
+        async def port() -> bytes | None:
+            return (await http.call("ping", {}, timeout_s=60.0)).response
+
+        before = await port()
+        await asyncio.sleep(1.2)
+        after = await port()
+
+    def text(response: bytes | None) -> str:
+        assert response is not None
+        said: str = json.loads(response)["result"]["content"][0]["text"]
+        return said
+
+    assert text(before) != text(after)
+
+
+@pytest.mark.asyncio
 async def test_the_id_in_the_body_of_an_http_error_is_held_against_nobody() -> None:
     async with session([sys.executable, str(SERVER), "application/json"]) as http:
         assert http.by_handshake
