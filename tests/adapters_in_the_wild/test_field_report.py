@@ -134,7 +134,7 @@ def test_the_pages_say_what_the_records_say() -> None:
             "wrote",
             ["the device is started", "adapter → device  PUBLISH", "control/pump", "PUBACK"],
         ),
-        ("x746b-modbus-mcp", "ADR-002.modbus", "wrote", ['"slave_id": 248', "request: write single register unit=248"]),
+        ("x746b-modbus-mcp", "WR-003.modbus", "written_twice", ["write_register", "request: write single register"]),
         ("kukapay-modbus-mcp", "R-modbus", "not_from_the_device", ["read_input_registers", "Demo Mode", "saw nothing"]),
     ],
 )
