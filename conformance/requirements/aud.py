@@ -268,7 +268,7 @@ async def _recorded_first(run: Repetition, at: Rig, audit: Mapping[str, Any], as
         asked.operation, seen={"state_changing": True}, timeout_s=_SEEN_S, meanwhile=look, **asked.inputs
     )
     await at.device.fault()
-    # On a busy machine it may come after the log was read.
+    # On a busy machine the request may arrive after the log was read.
     soon = reply.exchange.sent_ns + int(_SEEN_S * 1e9 / 2)
     entries = [entry for entry in since(reply, await at.journal()) if entry["t_ns"] <= soon]
     arrived = bool(nothing_arrived(at, entries, requirement="AUD-003"))

@@ -1,8 +1,8 @@
 """The capabilities that an adapter has earned, for each protocol, and the items that decided them. Pure.
 
 A capability is earned when every item behind it passed, and no finding of any item is about one of its requirements. A capability with an
-item that is missing, or whose failure does not speak against it, is undecided: a narrowed run can only earn less. Writing is earned by an adapter alone that was taken through an
-outage: there its writes have failed, and said so. The items say which capabilities they are about, checks by the row that they judge; the
+item that is missing, or whose failure does not speak against it, is undecided: a narrowed run can only earn less. Writing is earned by an
+adapter alone that was taken through an outage: there its writes have failed, and said so. The items say which capabilities they are about, checks by the row that they judge; the
 suite says which items there should be. What a subject claims is said by its adapters' facts, never by what happened to apply.
 """
 
@@ -18,6 +18,7 @@ from ..core.matrix import BENCHMARK, REQUIREMENTS
 from ..core.verdict import Status
 from ..protocols.protocol import GUARD, Operation
 from ..protocols.registry import protocols
+from ..record.schema import Finding
 from ..record.warnings import failing, findings_of, passed_beside
 from ..suite.catalogue import all_tasks, tasks_by_id
 from ..suite.requirements import requirements
@@ -93,6 +94,9 @@ _FURTHER = Heading(name="Further requirements", meaning="the other items of the 
 
 _FORM = ("ENV", "KEY", "INJ")
 """Areas of requirements about the form of what an adapter says, and about what it must not tell."""
+
+_WRITTEN = {"wrote", "unasked_write", "written_twice", "not_written_once", "device_differs", "driven"}
+"""Codes of findings about a device to which something was written, or that holds something else than it did."""
 
 _READING, _WRITING = {False}, {True}
 _ANY = _READING | _WRITING
@@ -188,18 +192,19 @@ def _elsewhere(run: Run, capability: str) -> set[str]:
     protection, as long as nothing was written.
     """
 
-    def speaks(requirement: str) -> bool:
+    def speaks(finding: Finding) -> bool:
+        requirement = str(finding["requirement"])
         row = requirements().get(requirement)
         if row is None or capability in row.capabilities:
             return True
-        return capability != Capability.WRITE_PROTECTION and requirement.partition("-")[0] not in _FORM
+        if capability == Capability.WRITE_PROTECTION:
+            return finding["code"] in _WRITTEN
+        return requirement.partition("-")[0] not in _FORM
 
     return {
         item["id"]
         for item in run["items"]
-        if item["status"] == Status.FAIL
-        and (findings := failing(findings_of(item)))
-        and not any(speaks(str(finding["requirement"])) for finding in findings)
+        if item["status"] == Status.FAIL and (findings := failing(findings_of(item))) and not any(map(speaks, findings))
     }
 
 

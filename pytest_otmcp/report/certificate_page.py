@@ -121,7 +121,7 @@ def _without_values(reason: str) -> str:
     """Return a reason without the values that an item has drawn, which tell nobody anything a year later."""
     if not reason.startswith((INEXPRESSIBLE, UNBOUND)):
         return reason
-    return f"{reason.partition(' with ')[0]} as it is asked for here"
+    return f"{reason.partition(' with ')[0]} with the values asked for"
 
 
 def _in_words(protocol: str, facet: str) -> str:

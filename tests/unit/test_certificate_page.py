@@ -143,7 +143,7 @@ def test_a_reason_stands_once_and_without_values_that_were_drawn(statement: dict
         "CON-004": f"{inexpressible}17",
     }
     assert (
-        "no named command of the subject can express write_holding as it is asked for here ( FM2, CON-004 )"
+        "no named command of the subject can express write_holding with the values asked for ( FM2, CON-004 )"
         in shown(statement)
     )
 

@@ -165,6 +165,13 @@ def test_an_item_that_failed_for_something_else_does_not_show_a_capability_and_d
     assert grades(written, AWAY)["Writing"]["Modbus"] == Earned(grade=Grade.NOT_EARNED, because=("M3",))
 
 
+def test_write_protection_is_lost_by_what_was_written_whichever_requirement_is_cited() -> None:
+    failed = {**modbus("M3", "FAIL"), "capabilities": ["write_protection"]}
+    for code, grade in (("not_successful", Grade.UNDECIDED), ("wrote", Grade.NOT_EARNED)):
+        record = grades({**failed, "findings": [finding(code, "x", "MCP-008")]})
+        assert record["Write protection"]["Modbus"].grade is grade
+
+
 def test_what_is_claimed_is_lost_by_a_finding_though_no_item_about_it_applies_and_what_is_not_claimed_is_not() -> None:
     record = run([modbus("M3", "NOT_APPLICABLE"), refused("FM2", "WR-001")])
     by_name = {capability.name: by_family for capability, by_family in earned(record)}
