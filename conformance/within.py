@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from pytest_otmcp.protocols.exercise import THEN, Asked, Contended, DeviceText, Exercise
 from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.trial.named_readings import asked_of
 from pytest_otmcp.trial.rig import Command, Rig
 
 __all__ = ["allowed", "commanding", "exercise"]
@@ -35,10 +36,10 @@ def allowed(at: Rig, asked: Asked) -> bool:
 
 def exercise(at: Rig) -> Exercise:
     """Return what checks for every protocol do on this one: as far as the schemas of the adapter's tools allow it, by its named commands
-    where it has some, and by a call that waits or a status where it has no other read."""
+    and readings where it has some, and by a call that waits or a status where it has no other read."""
     found = protocols()[at.protocol].exercise
     assert found is not None, f"{at.protocol} has no exercise, so it has no such checks"
-    return _narrowed(at, _by_command(at, _otherwise(at, _answered(at, _waiting_for_texts(at, found)))))
+    return _narrowed(at, _by_command(at, _otherwise(at, _answered(at, _by_reading(at, _waiting_for_texts(at, found))))))
 
 
 def _waiting_s(at: Rig) -> int:
@@ -66,7 +67,7 @@ def _answered(at: Rig, exercise: Exercise) -> Exercise:
     waiting = exercise.waiting
     if waiting is not None and at.subject.blocks(waiting.operation):
         return replace(exercise, reading=waiting.operation, read=lambda rng: waiting.read(rng, _waiting_s(at)))
-    calls = (call for call in protocols()[at.protocol].proof.unreachable if at.subject.claims(call.operation))
+    calls = (call for call in at.proof.unreachable if at.subject.claims(call.operation))
     asked = next((call for call in calls if at.can_ask(call.operation, call.made(random.Random(0)))), None)
     if asked is None:
         return exercise
@@ -133,6 +134,30 @@ def _by_command(at: Rig, exercise: Exercise) -> Exercise:
         number=None,
         writes=exercise.changing or exercise.writes,
     )
+
+
+def _by_reading(at: Rig, exercise: Exercise) -> Exercise:
+    """Return the exercise with reads by the named readings of the adapter; where it reads by nothing else, by them alone."""
+    readings = at.readings()
+    if not readings:
+        return exercise
+    every = exercise.every_read
+    found = replace(exercise, every_read=lambda rng: (*(every(rng) if every else ()), *_each_reading(at, rng)))
+    if at.subject.claims(exercise.reading) and not at.by_command_alone(exercise.reading):
+        return found
+    # Of many values no two are likely to be the same.
+    operation, most = max(readings, key=lambda one: one[1].holds.count if one[1].holds else 0)
+    shown = asked_of(at.protocol, operation, most.examples()[0], most.held(random.Random(0)))
+    return replace(
+        found,
+        reading=operation,
+        read=lambda rng: asked_of(at.protocol, operation, most.drawn(rng), most.held(rng)),
+        reads=exercise.reads if operation == exercise.reading else (shown.condition,),
+    )
+
+
+def _each_reading(at: Rig, rng: random.Random) -> tuple[Asked, ...]:
+    return tuple(asked_of(at.protocol, operation, one.drawn(rng), one.held(rng)) for operation, one in at.readings())
 
 
 def commanding(at: Rig, exercise: Exercise, operation: str, inputs: Mapping[str, Any]) -> Asked:

@@ -18,8 +18,8 @@ AREAS = (
 """The areas in the order of the catalogue; each is a module here."""
 
 
-MODULES = (*AREAS, "mcp_callers", "wr_commands", "adr_mqtt")
-"""The modules of the areas; three areas have two."""
+MODULES = (*AREAS, "mcp_callers", "rd_readings", "wr_commands", "adr_mqtt")
+"""The modules of the areas; four areas have two."""
 
 
 def modules() -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.strict_json import same_json
 from pytest_otmcp.protocols.journal import Image
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
+from pytest_otmcp.protocols.modbus.registers import registers, same_bits
 from pytest_otmcp.protocols.modbus.tags import TAGS
 from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
 from pytest_otmcp.trial.alteration import DEEP, ELEMENTS, Alteration, filler
@@ -19,7 +20,6 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-from .registers import registers, same_bits
 from .steps import (
     CONNECTION_FAULTS,
     NOTHING_SENT,

@@ -13,6 +13,7 @@ from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.strict_json import same_json
 from pytest_otmcp.protocols.exercise import Asked, Texts
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
+from pytest_otmcp.protocols.modbus.registers import FORMATS, ORDERS, WIDE, registers, same_bits, unpacked
 from pytest_otmcp.protocols.modbus.tags import TAGS
 from pytest_otmcp.protocols.mqtt.inbox import decoded, listed
 from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
@@ -23,7 +24,6 @@ from pytest_otmcp.trial.rig import Rig
 
 from ..tasks.messages import publish_from_kit, subscribe, sync_point
 from .opcua_values import as_said
-from .registers import FORMATS, ORDERS, WIDE, registers, same_bits, unpacked
 from .sparkplug_payload import DOUBLE, INT64, UINT64, payload_of
 from .steps import (
     NOTHING_SENT,

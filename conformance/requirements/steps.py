@@ -12,7 +12,7 @@ from pytest_otmcp.core.error_registry import wire_codes
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries, JournalEntry
-from pytest_otmcp.protocols.oracle import Witness
+from pytest_otmcp.protocols.oracle import Witness, requests
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.protocols.unsolicited import nothing_commanded
 from pytest_otmcp.trial.repetition import Repetition
@@ -267,6 +267,25 @@ async def write(run: Repetition, at: Rig) -> tuple[Asked, Reply]:
     """Write a random value; nothing is judged yet."""
     asked = exercise(at).write(run.rng)
     return asked, await at.call(asked.operation, **asked.inputs)
+
+
+def answered(at: Rig, entries: Entries, *, requirement: str) -> list[Finding]:
+    """Expect that the device has answered a request among entries."""
+    seen = {entry["answers"] for entry in entries}
+    if any(entry["seq"] in seen for entry in requests(entries)):
+        return []
+    return [
+        Finding(
+            code="no_exchange",
+            message=f"{at.protocol}: the device should have answered a request during the call, it did not",
+            requirement=requirement,
+        )
+    ]
+
+
+def letters(run: Repetition) -> str:
+    """Return letters that are no word."""
+    return "".join(run.rng.choices("bcdfghjklmnpqrstvwxz", k=6))
 
 
 async def a_read_works(run: Repetition, at: Rig, *, requirement: str | None = None) -> None:

@@ -15,7 +15,7 @@ from pytest_otmcp.trial.rig import Command, Rig
 from ..commanded import carried_out, done
 from ..within import allowed, commanding, exercise
 from .provoked import expect_failure
-from .steps import faulty, nothing_arrived, refusal, relayed
+from .steps import faulty, letters, nothing_arrived, refusal, relayed
 
 __all__ = ["TASKS"]
 
@@ -81,9 +81,7 @@ def _words(at: Rig, operation: str, command: Command) -> Iterator[str]:
     """Return the arguments that say by a word what is to be done. One that says where, such as the name of a lamp in a topic, may be made
     into a name that only the plant knows."""
     known = protocols()[at.protocol].operations
-    for name, draw in command.draws.items():
-        if not draw.values or not all(isinstance(value, str) for value in draw.values):
-            continue
+    for name in command.words():
         made = command.inputs_of(name, operation)
         if not _is_text(command, name) or any(given in known[performed].documents for performed, given in made):
             yield name
@@ -104,7 +102,7 @@ async def _no_such_word(run: Repetition, at: Rig, operation: str, command: Comma
         commanding(at, exercise(at), operation, command.effect_of({**values, name: word}))
         for word in command.draws[name].values
     ]
-    for word in (f"{values[name]} {_letters(run)}", f"{_letters(run)} {values[name]}"):
+    for word in (f"{values[name]} {letters(run)}", f"{letters(run)} {values[name]}"):
         await at.prove()
         reply = await at.call_altered(operation, Alteration(given={argument: word}), **inputs)
         entries = reply.during(await at.journal())
@@ -117,10 +115,6 @@ async def _no_such_word(run: Repetition, at: Rig, operation: str, command: Comma
             run.judge(reply, [Finding(code="wrote", message=message, requirement="WR-014", evidence=evidence)])
         else:
             run.judge(reply, [])
-
-
-def _letters(run: Repetition) -> str:
-    return "".join(run.rng.choices("bcdfghjklmnpqrstvwxz", k=6))
 
 
 def _every_command(run: Repetition, at: Rig) -> list[Asked]:

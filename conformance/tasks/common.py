@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols import oracle as device
-from pytest_otmcp.protocols.exercise import Asked
+from pytest_otmcp.protocols.exercise import READING, Asked
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.proof import Call
 from pytest_otmcp.protocols.registry import protocols
@@ -129,14 +129,18 @@ def outages_show(rig: Rig) -> bool:
 
 def _bound_reads(rig: Rig) -> Iterator[Call]:
     # Any example of the inputs tells whether there is a tool for them.
-    calls = protocols()[rig.protocol].proof.unreachable
-    return (call for call in calls if rig.can_ask(call.operation, call.made(random.Random(0))))
+    return (call for call in rig.proof.unreachable if rig.can_ask(call.operation, call.made(random.Random(0))))
 
 
 def read_of(rig: Rig) -> Call:
     """Return the call by which an adapter is taken through an outage: the best that it has of those that its device has to answer."""
-    calls = protocols()[rig.protocol].proof.unreachable
+    calls = rig.proof.unreachable
     return next(_bound_reads(rig), None) or next(call for call in calls if rig.subject.claims(call.operation))
+
+
+def _witness(rig: Rig, read: Call, witnesses: Mapping[str, Witness]) -> Witness:
+    exchange = some_exchange(rig)
+    return exchange if READING in read.inputs else witnesses.get(read.operation, exchange)
 
 
 async def asked_anew(run: Repetition, rig: Rig, read: Call) -> Mapping[str, Any]:
@@ -191,7 +195,7 @@ async def survive_a_restart(run: Repetition, rig: Rig, **witnesses: Witness) -> 
     if protocols()[rig.protocol].operations[operation].status:
         await status_is_known(run, rig, some_exchange(rig), last)
     else:
-        run.witnessed(fresh(await rig.journal(), (last, witnesses.get(operation, some_exchange(rig)))))
+        run.witnessed(fresh(await rig.journal(), (last, _witness(rig, read, witnesses))))
 
 
 def some_exchange(rig: Rig) -> Witness:
@@ -273,7 +277,7 @@ async def outage(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
     """
     read = read_of(rig)
     operation = read.operation
-    witness = witnesses.get(operation, some_exchange(rig))
+    witness = _witness(rig, read, witnesses)
     warm = await rig.call(operation, **await asked_anew(run, rig, read))
     run.must_succeed(warm)
     # A command that an earlier item asked for must not arrive now.

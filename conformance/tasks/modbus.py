@@ -6,16 +6,21 @@ device. Values are different in every repetition, so that no cached or mixed-up 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 from pytest_otmcp.protocols.modbus import oracle
 from pytest_otmcp.protocols.modbus.entries import points
 from pytest_otmcp.protocols.session_oracle import StateChanges
 from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
 from ..commanded import carried_out, guarded, some_command
+from ..read_by_name import reads_by_name, told_at_once, told_in_turn
+from ..within import exercise
 from .common import (
     NOTHING_SENT,
     QUIET_S,
@@ -45,6 +50,8 @@ __all__ = ["TASKS"]
 
 TASKS = Tasks()
 
+FIRST: Mapping[str, Any] = {"address": 1, "count": 1}
+"""The read of the register that is written."""
 READ_COILS, READ_DISCRETE_INPUTS, READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS = 1, 2, 3, 4
 ILLEGAL_DATA_ADDRESS = 2
 
@@ -115,12 +122,15 @@ async def a_slow_device_is_reported_as_slow(run: Repetition, modbus: Rig) -> Non
 )
 async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
     """Read four input registers whose values were set at random just before; where the adapter reads none, four holding registers,
-    discrete inputs or coils.
+    discrete inputs or coils; or call named readings four times, where the subject reads by these alone.
 
     Said: these four values.
     Seen: a read of these registers, and nothing that changes the plant.
     Why: values from memory, from another table or from a neighbour look right until somebody acts on them.
     """
+    if reads_by_name(modbus, *TABLES):
+        await told_in_turn(run, modbus, 4)
+        return
     operation, values = await set_cells(run, modbus, 4)
     reply = await modbus.call(operation, address=0, count=4)
     run.succeeds(reply, values=values)
@@ -150,7 +160,8 @@ async def the_process_ends_with_its_stdin(run: Repetition, modbus: Rig) -> None:
     requirements="WR-001 WR-002 WR-003",
 )
 async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
-    """Write a holding register, and read it; or call a named command, where the subject writes by these alone.
+    """Write a holding register, and read it where the adapter reads such registers; or call a named command, where the subject writes by
+    these alone.
 
     Said: the value that was written, in both answers.
     Seen: one write of this value to this register; every other register stays as it was.
@@ -166,14 +177,15 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     before = await modbus.device.image()
     written = await modbus.call("write_holding", address=1, value=value)
     after = await modbus.device.image()
-    read = await modbus.call("read_holding", address=1, count=1)
+    read = await modbus.call("read_holding", **FIRST) if modbus.can_ask("read_holding", FIRST) else None
     run.succeeds(written, value=value)
-    # What the device holds now may not be the value, which is the fault of the write; the read has to tell it.
-    run.succeeds(read, values=[oracle.held(after, "holding_registers", 1)])
     journal = await modbus.journal()
+    if read is not None:
+        # What the device holds now may not be the value, which is the fault of the write; the read has to tell it.
+        run.succeeds(read, values=[oracle.held(after, "holding_registers", 1)])
+        run.witnessed(oracle.read_where_asked(journal, function=READ_HOLDING_REGISTERS, address=1))
     run.witnessed(
         oracle.exactly_one_write(journal, "holding_registers", address=1, values=[value]),
-        oracle.read_where_asked(journal, function=READ_HOLDING_REGISTERS, address=1),
         oracle.only_changed(before, after, points("holding_registers", 1, [value])),
     )
 
@@ -218,8 +230,7 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
         await the_guard_of_commands_was_put_to_the_test(run, modbus, modbus_ro)
         return
     # The refusal only proves the guard if the read-only session reaches its device and the same call works without the guard.
-    read = await modbus_ro.call("read_holding", address=1, count=1)
-    run.succeeds(read)
+    run.succeeds(await some_read(run, modbus_ro))
     written = await modbus.call("write_holding", address=1, value=999)
     run.succeeds(written, value=999)
     run.witnessed(
@@ -232,10 +243,18 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
     await a_meaningless_switch_enables_nothing(run, modbus_ro, "write_holding", address=1, value=999)
 
 
+async def some_read(run: Repetition, modbus: Rig) -> Reply:
+    """Read a holding register; where the adapter cannot, call a named reading."""
+    if modbus.can_ask("read_holding", FIRST):
+        return await modbus.call("read_holding", **FIRST)
+    asked = exercise(modbus).read(run.rng)
+    return await modbus.call(asked.operation, **asked.inputs)
+
+
 async def the_guard_of_commands_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro: Rig) -> None:
-    """Do the same with a named command."""
+    """Do the same with a named command, and with a named reading where the subject reads by these alone."""
     asked = some_command(run, modbus)
-    run.succeeds(await modbus_ro.call("read_holding", address=1, count=1))
+    run.succeeds(await some_read(run, modbus_ro))
     run.witnessed(oracle.some_exchange(await modbus_ro.journal()))
     await carried_out(run, modbus, asked)
     await modbus_ro.close_session()
@@ -346,12 +365,16 @@ async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
     requirements="CON-001",
 )
 async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
-    """Read four registers, or bits where the adapter reads no registers, by four calls at the same time.
+    """Read four registers, or bits where the adapter reads no registers, by four calls at the same time; or call named readings, where the
+    subject reads by these alone.
 
     Said: in each answer the value of its own register.
     Seen: for each call a read that covers its register, during the call.
     Why: an answer that belongs to another call is a wrong value that looks right.
     """
+    if reads_by_name(modbus, *TABLES):
+        await told_at_once(run, modbus, 4)
+        return
     operation, values = await set_cells(run, modbus, 4, address=10)
     replies = await run.together(*(modbus.call(operation, address=10 + i, count=1) for i in range(4)))
     for reply, value in zip(replies, values, strict=True):
@@ -406,12 +429,16 @@ async def concurrent_register_read_and_write(run: Repetition, modbus: Rig) -> No
     requirements="CON-006",
 )
 async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
-    """Read fifty registers, or bits where the adapter reads no registers, one call after the other.
+    """Read fifty registers, or bits where the adapter reads no registers, one call after the other; or call named readings, where the
+    subject reads by these alone.
 
     Said: the right value in every answer.
     Seen: for each call a read that covers its register, during the call.
     Why: leaks, caches and connections that are used up show in a long series only.
     """
+    if reads_by_name(modbus, *TABLES):
+        await told_in_turn(run, modbus, RAPID_CALLS)
+        return
     operation, values = await set_cells(run, modbus, RAPID_CALLS)
     asked = []
     for address, value in enumerate(values):

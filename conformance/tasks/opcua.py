@@ -14,6 +14,8 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
+from ..read_by_name import reads_by_name, told_at_once, told_in_turn
+from ..within import exercise
 from .common import (
     NOTHING_SENT,
     QUIET_S,
@@ -53,12 +55,15 @@ def reading(node: str) -> Witness:
     requirements="RD-001 RD-004 OUA-002 MCP-009",
 )
 async def read_temperature(run: Repetition, opcua: Rig) -> None:
-    """Read a variable whose value was set at random just before.
+    """Read a variable whose value was set at random just before. Where the adapter reads by named readings alone, call one.
 
     Said: this value, with the status Good.
     Seen: a read of this variable, and nothing that changes the plant.
     Why: a value from memory looks right until somebody acts on it.
     """
+    if reads_by_name(opcua, "read"):
+        await told_in_turn(run, opcua, 1)
+        return
     value = round(run.rng.uniform(-50.0, 150.0), 6)
     await opcua.device.poke(node="Temperature", value=value)
     reply = await opcua.call("read", node="ns=2;s=Temperature")
@@ -78,7 +83,9 @@ async def a_slow_device_is_reported_as_slow(run: Repetition, opcua: Rig) -> None
     Said: success, and a latency that is no shorter than that.
     Seen: the process ends by itself.
     """
-    await a_delay_shows(run, opcua, "read", node=TEMPERATURE)
+    asked = exercise(opcua).read(run.rng)
+    inputs = asked.inputs if reads_by_name(opcua, "read") else {"node": TEMPERATURE}
+    await a_delay_shows(run, opcua, asked.operation, **inputs)
     await ends_when_its_stdin_closes(opcua)
 
 
@@ -292,12 +299,15 @@ async def a_number_is_accepted(run: Repetition, opcua: Rig) -> None:
     requirements="CON-001",
 )
 async def concurrent_node_reads(run: Repetition, opcua: Rig) -> None:
-    """Read four variables by four calls at the same time.
+    """Read four variables by four calls at the same time, or call named readings.
 
     Said: in each answer the value of its own variable.
     Seen: a read of each variable.
     Why: an answer that belongs to another call is a wrong value that looks right.
     """
+    if reads_by_name(opcua, "read"):
+        await told_at_once(run, opcua, 4)
+        return
     values = {name: round(run.rng.uniform(0.0, 100.0), 6) for name in SENSORS}
     for name, value in values.items():
         await opcua.device.poke(node=name, value=value)
@@ -347,12 +357,15 @@ async def concurrent_node_read_and_write(run: Repetition, opcua: Rig) -> None:
     requirements="CON-006",
 )
 async def rapid_node_reads(run: Repetition, opcua: Rig) -> None:
-    """Read variables fifty times, one call after the other.
+    """Read variables fifty times, or call named readings, one call after the other.
 
     Said: the right value in every answer.
     Seen: for each call a read of its variable, during the call.
     Why: leaks, caches and sessions that are used up show in a long series only.
     """
+    if reads_by_name(opcua, "read"):
+        await told_in_turn(run, opcua, RAPID_CALLS)
+        return
     asked = []
     for index in range(RAPID_CALLS):
         name = SENSORS[index % len(SENSORS)]

@@ -36,8 +36,8 @@ __all__ = [
     "judge_deviations",
 ]
 
-INEXPRESSIBLE = "no named command of the subject can express"
-"""Beginning of the reason for which an item does not apply that asks for a write which only other adapters can make."""
+INEXPRESSIBLE = ("no named reading of the subject can express", "no named command of the subject can express")
+"""Beginnings of the reason for which an item does not apply that asks for a read, or for a write, which only other adapters can make."""
 
 UNBOUND = "no binding of the subject is for"
 """Beginning of the reason for which an item does not apply that asks for what an adapter has no tool for, or only with other inputs."""

@@ -118,15 +118,7 @@ async def _calls(
     """
     first = {argument: some[0] for argument, some in values.items()}
     others = ({**first, argument: value} for argument, some in values.items() for value in some[1:])
-    guess = Guess(
-        operation="",
-        tool=name,
-        score=0.0,
-        arguments={argument: f"${argument}" for argument in first},
-        convert={},
-        missing=(),
-        trials={},
-    )
+    guess = Guess.of_tool(name, first)
     calls: list[Call] = []
     for arguments in (first, first, *others):
         shown = await experimenter.write(guess, arguments)

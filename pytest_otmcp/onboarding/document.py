@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..core.text import printable
@@ -19,6 +19,7 @@ from .effects import Effect
 from .evidence import CONNECT_FAILED, CONNECTION_LOST, TIMEOUT, failure_rules, known_errors, prose_rule
 from .proposal import Proposal
 from .readiness import Readiness
+from .readings import Reading
 from .switches import Switch
 
 __all__ = ["Draft", "write_document"]
@@ -47,6 +48,8 @@ class Draft:
         native: True when its answers are the kit's envelope.
         proposals: operation to its proposal; an operation without a tool is missing.
         commands: named commands by the names of their tools.
+        readings: named readings by their names.
+        named_reads: proposals that these readings stand for, with what they answered where they had to fail.
         connect: tool and arguments of a connect step.
         readiness: the tool that each start waits for; None where no tool spoke of connecting.
         recovery: how it went on after an outage; None where nothing showed it.
@@ -79,6 +82,8 @@ class Draft:
     started_s: float
     longest_s: float
     errors: Mapping[str, Sequence[str]]
+    readings: Mapping[str, Reading] = field(default_factory=dict)
+    named_reads: Sequence[Proposal] = ()
     choices: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     switch: Switch | None = None
     switches: Sequence[Switch] = ()
@@ -113,7 +118,7 @@ class Draft:
 
 def write_document(draft: Draft, *, into: bool = False) -> str:
     """Return the subject file; add the entries that the user has to fill in to ``draft.left``."""
-    form = _form(draft.proposals.values())
+    form = _form(draft)
     head = [
         "# Proposed by `otmcp init`: guessed from names, tried at a mock device. Read every line; `otmcp docs",
         "# subject-file` prints what each key means.",
@@ -185,6 +190,8 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     for operation, known in protocols()[draft.protocol].operations.items():
         if operation in draft.proposals or not (known.voluntary or operation in draft.lacking):
             lines += ["", *_binding(draft, operation, form)]
+    for name, reading in draft.readings.items():
+        lines += ["", *_reading(draft, name, reading, form)]
     for name, effect in draft.commands.items():
         lines += ["", *_command(draft, name, effect, form)]
     # A comment may repeat the adapter's words: it stays one line, of characters that TOML allows in a comment.
@@ -239,8 +246,8 @@ def _unclaimed(draft: Draft) -> list[str]:
         lines += ["# The launch with writes disabled is not known yet:", f"{GUARD} = {_value(_NO_SWITCH)}"]
     for operation, asked in protocols()[draft.protocol].operations.items():
         lines += _without_argument(draft, operation, asked)
-        if operation in draft.spared or (draft.commands and asked.writes):
-            # It stands above; or the named commands say how the adapter writes.
+        if operation in draft.spared or (draft.commands and asked.writes) or _by_reading(draft, operation):
+            # It stands above; or the named commands say how the adapter writes, or the named readings how it reads.
             continue
         if operation not in {*draft.proposals, *draft.lacking} and not asked.voluntary:
             lines += [f"# No tool is called like one for it: {asked.meaning}.", f"{operation} = {_value(_NO_TOOL)}"]
@@ -295,10 +302,11 @@ def _proven_otherwise(draft: Draft, operation: str) -> str | None:
     return proven.get(proposal.guess.tool)
 
 
-def _form(proposals: Iterable[Proposal]) -> str:
+def _form(draft: Draft) -> str:
     """Return the form that most answers have."""
-    found = list(proposals)
+    found = list(draft.proposals.values())
     forms = Counter(proposal.form for proposal in found if proposal.form is not None)
+    forms.update(one.form for one in draft.readings.values())
     if forms:
         return forms.most_common(1)[0][0]
     answers = [proposal.good for proposal in found if proposal.good is not None]
@@ -308,7 +316,7 @@ def _form(proposals: Iterable[Proposal]) -> str:
 
 def _outcome_rules(draft: Draft, form: str) -> list[dict[str, object]]:
     """Return the rules that tell the failures that were tried from successes."""
-    proven = [proposal for proposal in draft.proposals.values() if proposal.proven]
+    proven = [proposal for proposal in (*draft.proposals.values(), *draft.named_reads) if proposal.proven]
     successes = [proposal.good for proposal in proven if proposal.good is not None]
     failures = [failure for proposal in proven for _, failure in proposal.failures]
     rules = [rule for failure in failures for rule in failure_rules(failure, successes, form)]
@@ -329,7 +337,7 @@ def _prose(draft: Draft, success: Mapping[str, object] | None, form: str) -> lis
 def _answer_rules(draft: Draft, form: str) -> list[str]:
     lines = [f"answer = {_value(form)}"]
     outcome = _outcome_rules(draft, form)
-    proven = [proposal for proposal in draft.proposals.values() if proposal.proven]
+    proven = [proposal for proposal in (*draft.proposals.values(), *draft.named_reads) if proposal.proven]
     successes = [proposal.good for proposal in proven if proposal.good is not None]
     errors: list[dict[str, str]] = []
     patterns = {
@@ -371,6 +379,8 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
         return [f"# {operation}: {asked.meaning}. It is unclaimed above: {_WAITS}."]
     if proposal is None and draft.commands and asked.writes:
         return [f"# {operation}: {asked.meaning}. The named commands below say how it writes."]
+    if proposal is None and _by_reading(draft, operation):
+        return [f"# {operation}: {asked.meaning}. The named readings below say how it reads."]
     if proposal is None:
         draft.left.append(
             f"{operation} ({asked.meaning}): no tool was found, so it is declared as unclaimed; bind one if there is one"
@@ -425,6 +435,48 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
         comments.append("# Only a guess; take the comment signs away when it is right.")
     # A binding that is only a guess, or lacks a result, stays a comment.
     return [*comments, *(f"# {line}" for line in (head, *body))]
+
+
+def _by_reading(draft: Draft, operation: str) -> bool:
+    return bool(draft.readings) and operation in protocols()[draft.protocol].places and operation not in draft.proposals
+
+
+def _reading(draft: Draft, name: str, reading: Reading, form: str) -> list[str]:
+    """Return the table of a named reading."""
+    operation, inputs = reading.source
+    value: object = dict(reading.rule)
+    if reading.means is not None:
+        value = {**reading.rule, "means": reading.means}
+    elif set(reading.rule) == {"path"}:
+        value = reading.rule["path"]
+    beyond = (
+        []
+        if reading.otherwise is None
+        else [
+            f"# While the device held {reading.otherwise} it answered otherwise. If that cannot be at your device, say what it can hold:",
+            "# holds = { lowest = 0, highest = 1000 }",
+        ]
+    )
+    rounded = (
+        []
+        if not reading.step
+        else [
+            "# The answers are rounded, so that only values so far apart can be told from one another.",
+            f"holds = {_value({'lowest': 0, 'highest': int(reading.step * (30000 // reading.step)), 'step': reading.step})}",
+        ]
+    )
+    return [
+        f"# proven: {reading.samples} answers followed what the device held, as this table says.",
+        f"[adapter.{draft.protocol}.readings.{_key(name)}]",
+        *([f"tool = {_value(reading.tool)}"] if reading.tool != name else []),
+        *([f"means = {_value(dict(reading.draws))}"] if reading.draws else []),
+        f"arguments = {_value(dict(reading.arguments))}",
+        *([f"answer = {_value(reading.form)}"] if not draft.native and reading.form != form else []),
+        f"source.{operation} = {_value(dict(inputs))}",
+        f"value = {_value(value)}",
+        *rounded,
+        *beyond,
+    ]
 
 
 def _command(draft: Draft, name: str, effect: Effect, form: str) -> list[str]:

@@ -26,6 +26,7 @@ from .pack import Pack
 from .product_version import product_version
 from .proposal import Proposal, by_name
 from .readiness import look_for_readiness
+from .readings import as_proposals, look_for_readings
 from .status import look_at_silence, look_without_device
 from .switches import Switch, launched, look_for_switch, switches_of
 
@@ -116,20 +117,23 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
             switches = switches_of(adapter, (str(tool.get("description") or "") for tool in tools.values()))
             names = registered(step)
             proposals = await _try_operations(experimenter, pack, tools, names, say, writes=False)
+            operations = protocols()[pack.protocol].operations
+            # What tells a status may tell values as well.
+            telling = {name: one for name, one in proposals.items() if not operations[name].status}
+            readings = await look_for_readings(experimenter, pack, tools, _taken(telling, step), say)
+            named = {one.tool for one in readings.values()}
+            proposals = {name: one for name, one in proposals.items() if one.proven or one.guess.tool not in named}
             await _begin_writing(experimenter, proposals.values(), left)
             enabling, tools, written = await _try_writing(experimenter, adapter, switches, pack, tools, names, say)
             proposals |= written
-            performed = {
-                proposal.guess.tool for proposal in proposals.values() if proposal.proven or not proposal.tried
-            }
-            taken = performed | ({step.tool} if step is not None else set())
-            commands = await look_for_commands(experimenter, pack, tools, taken, names, say)
-            switch = await look_for_switch(experimenter, adapter, (*enabling, *switches), proposals)
+            commands = await look_for_commands(experimenter, pack, tools, _taken(proposals, step), names, say)
+            switch = await look_for_switch(experimenter, adapter, (*enabling, *switches), proposals, commands)
             if switch is not None:
                 say(f"  guard           {switch.name} (proven: it disables writes, and enables them)")
-            await look_without_device(experimenter, proposals)
-            await look_at_silence(experimenter, proposals)
-            recovery = await look_after_outage(experimenter, proposals)
+            named_reads = as_proposals(readings)
+            await look_without_device(experimenter, named_reads | proposals)
+            await look_at_silence(experimenter, named_reads | proposals)
+            recovery = await look_after_outage(experimenter, named_reads | proposals)
             if recovery not in (None, "same_session"):
                 say(f"  recovery        {recovery} (after the device was away nothing else helped)")
             for operation, known in protocols()[pack.protocol].operations.items():
@@ -140,6 +144,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
     finally:
         await under_test.close()
     goods = [proposal.good for proposal in proposals.values() if proposal.proven and proposal.good is not None]
+    goods += [reading.good for reading in readings.values()] + [command.good for command in commands.values()]
     results = [result for good in goods if isinstance(result := good.get("result"), dict)]
     native = bool(results) and not any(check_result(result) for result in results)
     return Draft(
@@ -156,6 +161,8 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         native=native,
         proposals=proposals,
         commands=commands,
+        readings=readings,
+        named_reads=[*named_reads.values()],
         connect=None if step is None else (step.tool, step.arguments),
         readiness=readiness,
         recovery=recovery,
@@ -168,6 +175,12 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         choices=pack.choices(proposals),
         left=[*_nothing_valid(experimenter), *left],
     )
+
+
+def _taken(proposals: Mapping[str, Proposal], step: Guess | None) -> set[str]:
+    """Return the tools that operations, or the connect step, need."""
+    performed = {proposal.guess.tool for proposal in proposals.values() if proposal.proven or not proposal.tried}
+    return performed | ({step.tool} if step is not None else set())
 
 
 def _nothing_valid(experimenter: Experimenter) -> list[str]:

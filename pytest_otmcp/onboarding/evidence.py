@@ -27,6 +27,8 @@ __all__ = [
     "known_errors",
     "lists_in",
     "no_result",
+    "numbers_in",
+    "places",
     "prose_rule",
     "same_value",
     "tells_failure",
@@ -58,6 +60,8 @@ FORMS = ("structured", "json", "text", "texts")
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
+_NUMBERS = 8
+"""Numbers of a text that are looked at."""
 _EXACT = 2**53
 """Integers beyond it are not the same number to every reader of JSON (RFC 8259, section 6)."""
 
@@ -151,9 +155,9 @@ def _rules(document: object, expected: object, told: Mapping[str, object]) -> It
     if isinstance(document, str):
         yield from _in_text(document, expected)
         if (inner := _held(document)) is not None:
-            yield from ({**_IN_BRACKETS, "then": place} for place, _ in _places(inner, "", told) if place)
+            yield from ({**_IN_BRACKETS, "then": place} for place, _ in places(inner, "", told) if place)
         return
-    for path, value in _places(document, "", told):
+    for path, value in places(document, "", told):
         yield {"path": path}
         if isinstance(expected, list):
             yield {"path": path, "wrap": True}
@@ -167,7 +171,7 @@ def _rules(document: object, expected: object, told: Mapping[str, object]) -> It
             if isinstance(inner, dict | list):
                 # Of a text that is JSON a pattern would find the right place by chance alone.
                 yield from (
-                    {"path": path, "as": "json", "then": place} for place, _ in _places(inner, "", told) if place
+                    {"path": path, "as": "json", "then": place} for place, _ in places(inner, "", told) if place
                 )
                 continue
             yield from ({"path": path, **rule} for rule in _in_text(value, expected))
@@ -184,7 +188,7 @@ def _held(text: str) -> object | None:
     return value if isinstance(value, dict | list) else None
 
 
-def _places(value: object, path: str, told: Mapping[str, object] | None = None) -> Iterator[tuple[str, object]]:
+def places(value: object, path: str, told: Mapping[str, object] | None = None) -> Iterator[tuple[str, object]]:
     """Yield the JMESPath of every value, also through all elements of a list of objects.
 
     Args:
@@ -198,16 +202,16 @@ def _places(value: object, path: str, told: Mapping[str, object] | None = None) 
             if isinstance(listed, list) and listed and all(str(each) in value for each in listed):
                 step = f'{path}."${name}"' if path else f'"${name}"'
                 yield step, [value[str(each)] for each in listed]
-                yield from ((f"{step}[].{place}", None) for place, _ in _places(value[str(listed[0])], ""))
+                yield from ((f"{step}[].{place}", None) for place, _ in places(value[str(listed[0])], ""))
         for name, member in value.items():
             step = f'"${asked[name]}"' if name in asked else name if _PLAIN.fullmatch(name) else json.dumps(name)
-            yield from _places(member, f"{path}.{step}" if path else step, told)
+            yield from places(member, f"{path}.{step}" if path else step, told)
     elif isinstance(value, list) and value:
         inner = value[0]
         if isinstance(inner, Mapping):
-            for place, _ in _places(inner, "", told):
+            for place, _ in places(inner, "", told):
                 yield f"{path}[].{place}", None
-            for place, member in _places(inner, "", told):
+            for place, member in places(inner, "", told):
                 yield f"{path}[0].{place}", member
         elif path == "":
             yield "[0]", inner
@@ -216,6 +220,16 @@ def _places(value: object, path: str, told: Mapping[str, object] | None = None) 
 def _asked(told: Mapping[str, object]) -> dict[str, str]:
     """Return the names that members may have because of what was asked for, each with its input."""
     return {str(value): name for name, value in told.items() if isinstance(value, int | str) and value != ""}
+
+
+def numbers_in(text: str) -> Iterator[Mapping[str, object]]:
+    """Yield rules for the numbers in a text."""
+    found = [json.loads(number) for number in re.findall(r"(?<![\w.])-?(?:0|[1-9]\d*)(?:\.\d+)?", text)[:_NUMBERS]]
+    seen: list[Mapping[str, object]] = []
+    for rule in (rule for number in found for rule in _in_text(text, number)):
+        if rule not in seen:
+            seen.append(rule)
+            yield rule
 
 
 def _in_text(text: str, expected: object) -> Iterator[dict[str, object]]:
@@ -292,7 +306,7 @@ def lists_in(
         searched = _held(document) if isinstance(document, str) else document
         if searched is None:
             continue
-        for path in ("@", *(place for place, _ in _places(searched, "", told))):
+        for path in ("@", *(place for place, _ in places(searched, "", told))):
             # A list of nodes may begin with the node that was asked for.
             rest = [path.replace("[]", "[1:]", 1)] if "[]" in path else []
             for rule in ({**within, at: place} for place in (path, *rest)):
@@ -415,9 +429,9 @@ def turned_false(before: Mapping[str, object], after: Mapping[str, object]) -> F
     """Find the place in two answers that says yes in the first and no in the second, as a rule for a truth value."""
     for form in ("structured", "json"):
         document = read_answer(after, form)[0]
-        places = list(_places(read_answer(before, form)[0], ""))
-        flags = [place for place, value in places if value is True]
-        words = [f"{place} == '{value}'" for place, value in places if isinstance(value, str) and _UP.fullmatch(value)]
+        found = list(places(read_answer(before, form)[0], ""))
+        flags = [place for place, value in found if value is True]
+        words = [f"{place} == '{value}'" for place, value in found if isinstance(value, str) and _UP.fullmatch(value)]
         for path in (*flags, *words):
             if extract({"is": OutputRule(path=path)}, document) == {"is": False}:
                 return Found(form=form, rule={"path": path})

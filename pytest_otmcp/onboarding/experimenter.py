@@ -59,6 +59,7 @@ class Experimenter:
         offsets: those with which tools were proven, after none.
         results: number of answers that are valid results of tool calls.
         invalid: what other answers were, and how often.
+        proofs: further proofs that a session talks to the device; each returns the operation that proves it, or None.
     """
 
     def __init__(
@@ -79,6 +80,7 @@ class Experimenter:
         self.offsets: list[dict[str, int]] = [{}]
         self.results = 0
         self.invalid: Counter[str] = Counter()
+        self.proofs: list[Callable[[], Awaitable[str | None]]] = []
         self.adapter = adapter
         self._late = late
         self._samples = samples
@@ -259,6 +261,10 @@ class Experimenter:
                 if again.returned or (again.proven and not proposal.returned):
                     self.adapter.cursor.proven = proposal.guess.operation
                     return
+            for proves in self.proofs:
+                if (operation := await proves()) is not None:
+                    self.adapter.cursor.proven = operation
+                    return
             if not any(map(self._says_more_than_arrival, self._read)) and await self._has_arrived():
                 self.adapter.cursor.proven = ARRIVAL
                 return
@@ -326,6 +332,11 @@ class Experimenter:
         for poke in asked.pokes:
             await self.device.poke(**poke)
         return await self.call(proposal.guess, proposal.offset, **asked.inputs)
+
+    async def read(self, guess: Guess, arguments: Mapping[str, object]) -> Shown:
+        """Call a tool that reads, for which no operation stands, with these arguments."""
+        self._writing = False
+        return await self.call(guess, {}, **arguments)
 
     async def write(self, guess: Guess, arguments: Mapping[str, object]) -> Shown:
         """Call a tool that writes, for which no operation stands, with these arguments.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice, product
 
@@ -38,6 +38,12 @@ class Guess:
     optional: Mapping[str, object] = field(default_factory=dict)
     orders: tuple[Mapping[str, object], ...] = ()
     stand_ins: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of_tool(cls, tool: str, arguments: Iterable[str]) -> Guess:
+        """Return the guess of a tool for which no operation stands, whose inputs are called like its arguments."""
+        template = {name: f"${name}" for name in arguments}
+        return cls(operation="", tool=tool, score=0.0, arguments=template, convert={}, missing=(), trials={})
 
     def variations(self) -> list[Guess]:
         """Return one guess for each combination of the values to try; only this guess when there are none to try.

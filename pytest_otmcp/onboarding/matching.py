@@ -15,7 +15,16 @@ from .guess import Guess
 from .input_schema import choice, kinds, properties, required, resolved
 from .pack import Hints, Pack
 
-__all__ = ["commanding_tools", "guess_steps", "guess_tools", "registered", "snake", "status_tools", "words_in"]
+__all__ = [
+    "commanding_tools",
+    "guess_steps",
+    "guess_tools",
+    "reading_tools",
+    "registered",
+    "snake",
+    "status_tools",
+    "words_in",
+]
 
 _VERBS: Mapping[str, str] = dict.fromkeys("put store poke".split(), "write") | dict.fromkeys(
     "fetch retrieve peek".split(), "read"
@@ -193,13 +202,25 @@ def commanding_tools(pack: Pack, tools: Mapping[str, Mapping[str, Any]], taken: 
     Args:
         taken: tools that are left out.
     """
+    return [name for name in _not_told_where(pack, tools, taken) if _may_change(name, tools[name], frozenset())]
+
+
+def reading_tools(pack: Pack, tools: Mapping[str, Mapping[str, Any]], taken: Set[str]) -> list[str]:
+    """Return the tools that change nothing by their names, and are not told where they read.
+
+    Args:
+        taken: tools that are left out.
+    """
+    return [name for name in _not_told_where(pack, tools, taken) if not _may_change(name, tools[name], frozenset())]
+
+
+def _not_told_where(pack: Pack, tools: Mapping[str, Mapping[str, Any]], taken: Set[str]) -> list[str]:
     inputs = {*" ".join(pack.arguments.get(input, "") for input in _ADDRESSES).split()}
     return [
         name
         for name, tool in tools.items()
         if name not in taken
         and not words_in(name) & (_OWN_AFFAIRS | _ELSEWHERE)
-        and _may_change(name, tool, frozenset())
         and not _is_foreign(pack.protocol, name, tool)
         and not {snake(key) for key in properties(resolved(tool, None))} & inputs
     ]

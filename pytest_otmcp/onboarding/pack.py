@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
+from typing import Any
 
 from ..core.errors import UsageError
 from ..protocols.exercise import Asked
@@ -20,6 +21,10 @@ __all__ = ["Hints", "Pack", "Told", "load_pack", "plain"]
 
 Told = Callable[[JournalEntry], tuple[str, Mapping[str, object]] | None]
 """A function that returns what a request that changes the plant asks for, as an operation with its inputs."""
+
+
+Sources = Callable[[JournalEntry], Sequence[tuple[str, Mapping[str, Any]]]]
+"""A function that returns what a request may have read: operations that read one value each, with their inputs, the plainest first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +68,7 @@ class Pack:
         names: names of the protocol that an argument may expect.
         late: a journal entry that may follow the answer to a call, as members and values; None when none does.
         told: None for a request that no named command can have; without it `otmcp init` looks for no named commands.
+        sources: without it `otmcp init` looks for no named readings.
         samples: makes reads that prove a binding, beside those of the protocol's exercise; None where these are all.
         errors: error code to patterns of the texts in which libraries report it.
         causes: known causes in this protocol's libraries why an adapter does not start.
@@ -79,6 +85,7 @@ class Pack:
     names: tuple[str, ...] = ()
     late: Mapping[str, object] | None = None
     told: Told | None = None
+    sources: Sources | None = None
     samples: Callable[[random.Random], Sequence[Asked]] | None = None
     errors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     causes: tuple[KnownCause, ...] = ()

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from ..core.errors import NoBindingError, SubjectError
-from ..protocols.exercise import Asked
 from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
 from ..subject.imports import own_files, source_of
 from ..subject.model import READ_WRITE, Adapter
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
+from .effects import Effect
 from .evidence import claims_success
 from .experimenter import Experimenter, NotProvenError
-from .proposal import Proposal
+from .guess import Guess
+from .proposal import Proposal, Shown
 
 __all__ = ["Switch", "launched", "look_for_switch", "switches_of"]
+
+Write = Callable[[], Awaitable[Shown]]
 
 _TRIED = 4
 """At most so many variables and options are tried, those first that the adapter is given, then those that its tools name."""
@@ -122,7 +126,11 @@ def launched(adapter: Adapter, entries: Mapping[str, object]) -> Adapter:
 
 
 async def look_for_switch(
-    experimenter: Experimenter, adapter: Adapter, switches: Sequence[Switch], proposals: Mapping[str, Proposal]
+    experimenter: Experimenter,
+    adapter: Adapter,
+    switches: Sequence[Switch],
+    proposals: Mapping[str, Proposal],
+    commands: Mapping[str, Effect],
 ) -> Switch | None:
     """Start the adapter with writes disabled by each switch, and write: the call has to fail, and the device must not be told it. Then start
     it with writes enabled, and the device has to be told it.
@@ -130,15 +138,15 @@ async def look_for_switch(
     Args:
         adapter: as it is launched without a switch.
     """
-    written = _write(experimenter, proposals)
-    if written is None:
+    write = _write(experimenter, proposals, commands)
+    if write is None:
         return None
     before = experimenter.adapter
     try:
         for switch in switches:
             try:
-                if await _is_refused(experimenter, launched(adapter, switch.ro), *written) and await _is_done(
-                    experimenter, launched(adapter, switch.rw), *written
+                if await _is_refused(experimenter, launched(adapter, switch.ro), write) and await _is_done(
+                    experimenter, launched(adapter, switch.rw), write
                 ):
                     return switch
             except (SubjectError, NotProvenError, NoBindingError):
@@ -150,7 +158,10 @@ async def look_for_switch(
     return None
 
 
-def _write(experimenter: Experimenter, proposals: Mapping[str, Proposal]) -> tuple[Proposal, Asked] | None:
+def _write(
+    experimenter: Experimenter, proposals: Mapping[str, Proposal], commands: Mapping[str, Effect]
+) -> Write | None:
+    """Return a write by an operation, or else by a named command; None where none is proven."""
     exercise = protocols()[experimenter.adapter.adapter.protocol].exercise
     if exercise is None:
         return None
@@ -158,25 +169,25 @@ def _write(experimenter: Experimenter, proposals: Mapping[str, Proposal]) -> tup
         exercise.write(experimenter.random),
         *(exercise.every_write(experimenter.random) if exercise.every_write else ()),
     ]
-    return next(
-        (
-            (proposals[one.operation], one)
-            for one in calls
-            if one.operation in proposals and proposals[one.operation].proven
-        ),
-        None,
-    )
+    for one in calls:
+        if one.operation in proposals and proposals[one.operation].proven:
+            return partial(experimenter.perform, proposals[one.operation], one)
+    for tool, effect in commands.items():
+        drawn = effect.command.arguments(effect.command.examples()[0]) or {}
+        arguments = {name: drawn.get(name, value) for name, value in effect.arguments.items()}
+        return partial(experimenter.write, Guess.of_tool(tool, arguments), arguments)
+    return None
 
 
-async def _is_refused(experimenter: Experimenter, adapter: Adapter, proposal: Proposal, asked: Asked) -> bool:
+async def _is_refused(experimenter: Experimenter, adapter: Adapter, write: Write) -> bool:
     await _start(experimenter, adapter)
-    shown = await experimenter.perform(proposal, asked)
+    shown = await write()
     return shown.message is not None and not claims_success(shown.message) and not state_changing(shown.entries)
 
 
-async def _is_done(experimenter: Experimenter, adapter: Adapter, proposal: Proposal, asked: Asked) -> bool:
+async def _is_done(experimenter: Experimenter, adapter: Adapter, write: Write) -> bool:
     await _start(experimenter, adapter)
-    return bool(state_changing((await experimenter.perform(proposal, asked)).entries))
+    return bool(state_changing((await write()).entries))
 
 
 async def _start(experimenter: Experimenter, adapter: Adapter) -> None:

@@ -19,6 +19,7 @@ __all__ = [
     "LARGEST_FLOAT32",
     "NO_INTEGERS",
     "NO_REALS",
+    "READING",
     "THEN",
     "Asked",
     "Clamped",
@@ -35,6 +36,8 @@ __all__ = [
 
 THEN = "then"
 """Name, among the inputs of an operation, of what else a named command asks of the device after it: a list of operations with their inputs."""
+READING = "reading"
+"""Name, among the inputs of an operation, of the named reading that performs it."""
 LARGEST_FLOAT32: float = struct.unpack(">f", bytes.fromhex("7f7fffff"))[0]
 """The largest finite number of 32 bits (IEEE 754)."""
 NO_INTEGERS = (40.7, "abc", "40", [40], None)

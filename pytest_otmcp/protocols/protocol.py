@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from ..core.finding import Finding
 from ..wire.framing import FrameLength
@@ -17,6 +18,7 @@ from .exercise import Exercise
 from .external import ExternalDevice
 from .field import Field
 from .journal import Entries, JournalEntry
+from .point import Point
 from .proof import Proof
 from .session_oracle import SessionOracle
 from .stamp import Stamp
@@ -33,6 +35,7 @@ __all__ = [
     "GUARD",
     "LAUNCHES",
     "READ",
+    "READINGS",
     "READ_OR_STATUS",
     "RECOVERY",
     "SECURE",
@@ -59,6 +62,7 @@ TOKENS = "tokens"
 CLIENT_CERTIFICATE = "client_certificate"
 ACCOUNT = "account"
 COMMANDS = "commands"
+READINGS = "readings"
 RECOVERY = "recovery"
 
 LAUNCHES: Mapping[str, str] = {
@@ -110,9 +114,15 @@ FACETS: Mapping[str, tuple[str, str]] = {
         "named commands",
         "the adapter has tools with a vocabulary of their own, whose effect on the device the subject file states",
     ),
+    READINGS: (
+        "named readings",
+        "the adapter has tools that read under names of their own, whose source at the device the subject file states",
+    ),
     RECOVERY: ("outages", "after an outage of the device the same session works again"),
 }
 """Facets that are no operations: each in a few words, and what it says of an adapter."""
+
+_VOLUNTARY = FACETS.keys() - {GUARD, RECOVERY}
 
 ANY_READ = "any_read"
 """Facet that tasks need: one of the operations that the device itself has to answer, whichever the subject has."""
@@ -370,6 +380,8 @@ class OtProtocol:
         exercise: what checks that hold for every protocol do on this one; None where there are no such checks.
         always: the protocol's items are part of every run, as the paper's matrix has it; otherwise only of runs whose
             subject has an adapter for it.
+        places: by operation, returns the place at the mock that a read with these inputs tells, which is one value; None where there is no
+            such place. Named readings have these operations.
         delayed: conditions of the mock's fault rules, one each, that together concern every request that is answered.
         cable: it is spoken on Ethernet itself, so that its device and adapters have a cable of their own.
         secure: the protocol has a secure form, which its mock speaks.
@@ -419,6 +431,7 @@ class OtProtocol:
     proof: Proof = field(default_factory=Proof)
     exercise: Exercise | None = None
     always: bool = False
+    places: Mapping[str, Callable[[Mapping[str, Any]], Point | None]] = field(default_factory=dict)
     delayed: tuple[Mapping[str, object], ...] = ({},)
     cable: bool = False
     secure: bool = False
@@ -443,6 +456,7 @@ class OtProtocol:
     def facets(self) -> tuple[str, ...]:
         """Facets that an adapter for this protocol may claim or not."""
         names = [GUARD, RECOVERY, BOUNDS, TIMES, GOVERNANCE, TOKENS, COMMANDS]
+        names += [READINGS] if self.places else []
         names += [CONTROL_GUARD] if self.controls else []
         names += [SECURE, CLIENT_CERTIFICATE] if self.secure else []
         names += [ACCOUNT] if self.accounts else []
@@ -454,8 +468,9 @@ class OtProtocol:
         return tuple(names)
 
     def is_voluntary(self, facet: str) -> bool:
-        """Tell whether only a binding, a launch or a named command claims this facet: nothing is said of a subject that has none."""
-        if facet in (ACCOUNT, BOUNDS, CLIENT_CERTIFICATE, COMMANDS, CONTROL_GUARD, SECURE, GOVERNANCE, TIMES, TOKENS):
+        """Tell whether only a binding, a launch, a named command or a named reading claims this facet: nothing is said of a subject that
+        has none."""
+        if facet in _VOLUNTARY:
             return True
         name, _, part = facet.partition(".")
         operation = self.operations.get(name)

@@ -61,7 +61,7 @@ def count_calls(items: Iterable[Item]) -> dict[Counted, int]:
 
 def inapplicable_by_steps(item: ItemHead) -> bool:
     """Tell whether the steps of an item found nothing to judge: they ran, and playing them back shows the same."""
-    may = item["suite"] in (REQUIREMENTS, FIELD) or (item["reason"] or "").startswith((INEXPRESSIBLE, UNBOUND))
+    may = item["suite"] in (REQUIREMENTS, FIELD) or (item["reason"] or "").startswith((*INEXPRESSIBLE, UNBOUND))
     return may and item["status"] == Status.NOT_APPLICABLE and bool(item["devices"])
 
 

@@ -148,6 +148,8 @@ class StoredOutputRule(TypedDict):
     convert: str | None
     then: str | None
     wrap: bool
+    means: NotRequired[str | dict[str, Any]]
+    grid: NotRequired[list[float]]
 
 
 class StoredOutcomeRule(TypedDict):
@@ -175,7 +177,7 @@ class StoredAnswering(TypedDict):
 
 
 class StoredDraw(TypedDict):
-    """The values that the kit may give an argument of a named command; see the subject file."""
+    """The values that the kit may give an argument of a named command, or that a device may hold; see the subject file."""
 
     values: list[Any]
     means: list[Any]
@@ -193,13 +195,15 @@ class StoredEffect(TypedDict):
 
 
 class StoredCommand(TypedDict):
-    """The effect of a named command; see the subject file. ``then``: what comes after it, in this order."""
+    """The effect of a named command, or the source of a named reading; see the subject file. ``then``: what comes after it, in this order.
+    ``holds``: what the device may hold where a reading looks."""
 
     name: str
     draws: dict[str, StoredDraw]
     effect: dict[str, Any]
     documents: list[str]
     then: NotRequired[list[StoredEffect]]
+    holds: NotRequired[StoredDraw]
 
 
 class StoredBinding(TypedDict):
@@ -382,6 +386,7 @@ class AdapterFacts(TypedDict):
     opened_by: NotRequired[Name]
     ready: NotRequired[ReadyTold]
     commands: NotRequired[dict[str, str]]
+    readings: NotRequired[dict[str, str]]
     probes: dict[str, Any]
     bindings: dict[str, list[StoredBinding] | None]
     unjudged: list[str]

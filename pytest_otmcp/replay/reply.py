@@ -55,8 +55,8 @@ def restored_bindings(stored: Mapping[str, Any]) -> dict[str, list[Binding] | No
 def _binding(case: Mapping[str, Any]) -> Binding:
     answering = case["answering"]
     rules = {
-        "outputs": {name: OutputRule(**rule) for name, rule in case["outputs"].items()},
-        "keep": {name: OutputRule(**rule) for name, rule in case.get("keep", {}).items()},
+        "outputs": {name: _output_rule(rule) for name, rule in case["outputs"].items()},
+        "keep": {name: _output_rule(rule) for name, rule in case.get("keep", {}).items()},
         "answering": Answering(
             form=answering["form"],
             outcome=tuple(OutcomeRule(**rule) for rule in answering["outcome"]),
@@ -65,6 +65,13 @@ def _binding(case: Mapping[str, Any]) -> Binding:
     }
     command = case.get("command")
     return Binding(**{**case, **rules, "command": None if command is None else Command.of_record(command)})
+
+
+def _output_rule(rule: Mapping[str, Any]) -> OutputRule:
+    grid = rule.get("grid")
+    if grid is not None and not (len(grid) == 2 and grid[1] > 0):
+        raise ValueError("a value is rounded to a grid that there is not")
+    return OutputRule(**{**rule, "grid": None if grid is None else tuple(grid)})
 
 
 def recorded_reply(

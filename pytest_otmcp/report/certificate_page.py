@@ -119,7 +119,7 @@ def _each_not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 def _without_values(reason: str) -> str:
     """Return a reason without the values that an item has drawn, which tell nobody anything a year later."""
-    if not reason.startswith((INEXPRESSIBLE, UNBOUND)):
+    if not reason.startswith((*INEXPRESSIBLE, UNBOUND)):
         return reason
     return f"{reason.partition(' with ')[0]} with the values asked for"
 

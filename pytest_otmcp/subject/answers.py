@@ -18,6 +18,7 @@ import jmespath
 
 from ..core.error_registry import registry
 from ..protocols.registry import protocols
+from .command import LARGEST, computed, is_number, nearest_on
 from .model import Answering, OutputRule
 
 __all__ = [
@@ -251,7 +252,18 @@ def _output(rule: OutputRule, document: object) -> Any:
         value = _plain(value)
     except (ValueError, TypeError, KeyError, SyntaxError, MemoryError, RecursionError):
         return None
-    return value if rule.then is None else _search(rule.then, value)
+    value = value if rule.then is None else _search(rule.then, value)
+    if rule.means is None:
+        return value
+    return [_meant(rule, part) for part in value] if isinstance(value, list) else _meant(rule, value)
+
+
+def _meant(rule: OutputRule, value: Any) -> Any:
+    """Return what the device holds by what a named reading says; None where it says nothing of the kind."""
+    if not isinstance(rule.means, str):
+        return (rule.means or {}).get(value if isinstance(value, str) else json.dumps(value))
+    number = computed(rule.means, value) if is_number(value) and abs(value) < LARGEST else None
+    return number if number is None or rule.grid is None else nearest_on(rule.grid, number)
 
 
 _EXACT = 2**53

@@ -34,7 +34,7 @@ def check_bindings(adapter: Adapter, tools: Mapping[str, Mapping[str, object]]) 
                     continue
                 where = f"adapter.{adapter.protocol}.bind.{name}" + (f"[{index}]" if len(bound) > 1 else "")
                 if binding.command is not None:
-                    where = f"adapter.{adapter.protocol}.commands.{binding.command.name}"
+                    where = f"adapter.{adapter.protocol}.{binding.command.table}.{binding.command.name}"
                 found += _compare(where, binding.tool, binding.arguments, tools)
                 # Of several bindings another one may be for the calls that do not give the input.
                 if len(bound) == 1:

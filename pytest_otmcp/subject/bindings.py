@@ -87,4 +87,5 @@ def output_rule(rule: str | Mapping[str, Any]) -> OutputRule:
         convert=rule.get("as"),
         then=rule.get("then"),
         wrap=rule.get("wrap", False),
+        means=rule.get("means"),
     )

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from ..protocols.protocol import ACCOUNT, CLIENT_CERTIFICATE, COMMANDS, LAUNCHES, WRITE
+from ..protocols.protocol import ACCOUNT, CLIENT_CERTIFICATE, COMMANDS, LAUNCHES, READ, READINGS, WRITE
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts
 from .model import Adapter
@@ -20,6 +20,7 @@ class _AdapterClaims:
     waiting: Collection[str]
     offered: Collection[str]
     commands: Mapping[str, str]
+    readings: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,9 @@ class Claims:
         """Return the claims of a subject file."""
         return cls(
             {
-                key: _AdapterClaims(adapter.unclaimed, adapter.blocking, adapter.offered, adapter.commands)
+                key: _AdapterClaims(
+                    adapter.unclaimed, adapter.blocking, adapter.offered, adapter.commands, adapter.readings
+                )
                 for key, adapter in adapters.items()
             }
         )
@@ -44,7 +47,11 @@ class Claims:
         return cls(
             {
                 key: _AdapterClaims(
-                    facts["unclaimed"], facts["blocking"], facts.get("offered", ()), facts.get("commands", {})
+                    facts["unclaimed"],
+                    facts["blocking"],
+                    facts.get("offered", ()),
+                    facts.get("commands", {}),
+                    facts.get("readings", {}),
                 )
                 for key, facts in adapters.items()
             }
@@ -71,6 +78,8 @@ class Claims:
                 return "the launch 'secure' has no place for {user} and {password}, an account of the device"
             if operation == COMMANDS:
                 return "the subject file has no named commands"
+            if operation == READINGS:
+                return "the subject file has no named readings"
             return f"no binding of {operation!r} has {part!r}" if part else "no tool is bound to it"
         return reason
 
@@ -96,21 +105,26 @@ class Claims:
                 continue
             waiting = self._adapters[protocol].waiting if protocol in self._adapters else ()
             real = protocols()[protocol].required_facets(
-                self._by_command(protocol, name), waiting, partial(self._has, protocol)
+                self._by_name(protocol, name), waiting, partial(self._has, protocol)
             )
             found += [f"{protocol}.{facet}" for facet in real]
         return list(dict.fromkeys(found))
 
-    def _by_command(self, protocol: str, facet: str) -> str:
-        """Return what takes the place of the operation that the exercise writes with, where a subject writes by named commands that are
-        all of other operations: that of its first command."""
-        known = protocols()[protocol]
-        commands = self._adapters[protocol].commands if protocol in self._adapters else {}
-        if known.exercise is None or facet not in (WRITE, known.exercise.writing):
+    def _by_name(self, protocol: str, facet: str) -> str:
+        """Return what takes the place of the operation that the exercise writes or reads with, where a subject does so by named commands or
+        readings that are all of other operations: that of the first of them."""
+        known, named = protocols()[protocol], self._adapters.get(protocol)
+        if known.exercise is None or named is None:
             return facet
+        by_name = {
+            WRITE: named.commands,
+            known.exercise.writing: named.commands,
+            READ: named.readings,
+            known.exercise.reading: named.readings,
+        }.get(facet, {})
         if any(self._has(protocol, name) for name in known.alternatives(facet, ()) or (facet,)):
             return facet
-        return next(iter(commands.values()), facet)
+        return next(iter(by_name.values()), facet)
 
     def _has(self, protocol: str, facet: str) -> bool:
         return self.has(f"{protocol}.{facet}")

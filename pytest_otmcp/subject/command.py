@@ -1,7 +1,9 @@
-"""A named command: a tool with a vocabulary of its own, and its effect on the device as the subject file states it. Pure.
+"""A named command or a named reading: a tool with a vocabulary of its own, and what it asks of the device as the subject file states it.
+Pure.
 
-The effect is one operation of the protocol that writes, with the values that the tool's arguments stand for. It is read in both
-directions: from arguments to what the device gets, and from what is asked of the device to the arguments that ask for it.
+A command's effect is one operation of the protocol that writes, a reading's source one that reads, with the values that the tool's
+arguments stand for. It is read in both directions: from arguments to what the device gets, and from what is asked of the device to the
+arguments that ask for it.
 """
 
 from __future__ import annotations
@@ -16,9 +18,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..core.strict_json import same_json
-from ..protocols.exercise import THEN
+from ..protocols.exercise import READING, THEN
 
-__all__ = ["LARGEST", "Command", "Draw", "Effect", "is_computed", "is_number", "names_in", "pattern"]
+__all__ = [
+    "LARGEST",
+    "Command",
+    "Draw",
+    "Effect",
+    "computed",
+    "is_computation",
+    "is_computed",
+    "is_number",
+    "names_in",
+    "nearest_on",
+    "pattern",
+]
 
 _NUMBER = r"\d{1,15}(?:\.\d{1,9})?"
 _WHOLE = re.compile(rf"\$(?P<name>\w+)(?: ?\* ?(?P<scale>-?{_NUMBER}))?(?: ?(?P<sign>[+-]) ?(?P<offset>{_NUMBER}))?")
@@ -35,7 +49,7 @@ LARGEST = 2.0**53
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Draw:
-    """The values that the kit may give an argument.
+    """The values that the kit may give an argument, or that a device may hold.
 
     Attributes:
         values: each of them; empty for a range.
@@ -93,7 +107,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
-    """The effect of a tool on the device.
+    """What a tool asks of the device.
 
     Attributes:
         name: in the subject file.
@@ -102,6 +116,7 @@ class Command:
             factor and a number to be added.
         documents: inputs of the operation that are texts, and that the file states as a JSON document.
         then: what the device gets after that, in this order.
+        holds: of a named reading, whose effect is its source: what the device may hold there; None for a command.
     """
 
     name: str
@@ -109,6 +124,17 @@ class Command:
     effect: Mapping[str, Any]
     documents: tuple[str, ...] = field(default=())
     then: tuple[Effect, ...] = field(default=())
+    holds: Draw | None = None
+
+    @property
+    def table(self) -> str:
+        """The table of an adapter in the subject file that has it."""
+        return "commands" if self.holds is None else "readings"
+
+    @property
+    def names(self) -> set[str]:
+        """The arguments that the effect refers to."""
+        return names_in(self.effect)
 
     @property
     def count(self) -> int:
@@ -118,6 +144,24 @@ class Command:
     def drawn(self, rng: random.Random) -> dict[str, Any]:
         """Return the operation's inputs for arguments that are drawn at random."""
         return self._inputs({name: rng.randrange(draw.count) for name, draw in self.draws.items()})
+
+    def held(self, rng: random.Random) -> Any:
+        """Return a value that the device may hold where a reading looks, drawn at random."""
+        assert self.holds is not None
+        return self.holds.value(rng.randrange(self.holds.count))
+
+    def held_at_most(self) -> tuple[Any, Any]:
+        """Return the first and the last value that the device may hold where a reading looks."""
+        assert self.holds is not None
+        return self.holds.value(0), self.holds.value(self.holds.count - 1)
+
+    def words(self) -> list[str]:
+        """Return the arguments that take a few words."""
+        return [
+            name
+            for name, draw in self.draws.items()
+            if draw.values and all(isinstance(one, str) for one in draw.values)
+        ]
 
     def examples(self) -> list[dict[str, Any]]:
         """Return the operation's inputs for every value of a list, and for the first two and the last of a range, each with the first values
@@ -151,11 +195,16 @@ class Command:
 
     def arguments(self, inputs: Mapping[str, object]) -> dict[str, Any] | None:
         """Return the values of the tool's arguments that ask for these inputs of the operation; None where none do."""
+        if inputs.get(READING) != (None if self.holds is None else self.name):
+            return None
         further: Any = inputs.get(THEN, [])
         if [one["operation"] for one in further] != [one.operation for one in self.then]:
             return None
         found: dict[str, int] = {}
-        asked = [{name: value for name, value in inputs.items() if name != THEN}, *(one["inputs"] for one in further)]
+        asked = [
+            {name: value for name, value in inputs.items() if name not in (THEN, READING)},
+            *(one["inputs"] for one in further),
+        ]
         parts: list[Command | Effect] = [self, *self.then]
         for stated, wanted in zip(parts, asked, strict=True):
             if wanted.keys() != stated.effect.keys():
@@ -193,11 +242,15 @@ class Command:
         if not all(draw.is_possible for draw in draws.values()):
             raise ValueError("a command draws from a range that there is not")
         then = tuple(Effect(**effect) for effect in stored.get(THEN, ()))
-        return cls(**{**stored, "draws": draws, "then": then})
+        holds = Draw(**stored["holds"]) if "holds" in stored else None
+        if holds is not None and not holds.is_possible:
+            raise ValueError("a reading is of values that there are not")
+        return cls(**{**stored, "draws": draws, "then": then, "holds": holds})
 
     def _inputs(self, indices: Mapping[str, int]) -> dict[str, Any]:
         then = [{"operation": one.operation, "inputs": self._inputs_of(one, indices)} for one in self.then]
-        return self._inputs_of(self, indices) | ({THEN: then} if then else {})
+        named = {} if self.holds is None else {READING: self.name}
+        return self._inputs_of(self, indices) | ({THEN: then} if then else {}) | named
 
     def _inputs_of(self, stated: Command | Effect, indices: Mapping[str, int]) -> dict[str, Any]:
         filled = {name: self._filled(template, indices) for name, template in stated.effect.items()}
@@ -274,6 +327,29 @@ def is_computed(template: object, name: str) -> bool:
         return any(is_computed(member, name) for member in members)
     whole = _WHOLE.fullmatch(template) if isinstance(template, str) else None
     return whole is not None and whole["name"] == name and (whole["scale"] or whole["sign"]) is not None
+
+
+def is_computation(text: str) -> bool:
+    """Tell whether a text makes a number from ``$value``, such as ``$value * 10 + 5``."""
+    whole = _WHOLE.fullmatch(text)
+    return whole is not None and whole["name"] == "value"
+
+
+def computed(text: str, value: float) -> Any:
+    """Return the number that such a text makes from a value."""
+    whole = _WHOLE.fullmatch(text)
+    assert whole is not None, text
+    return _computed(whole, value)
+
+
+def nearest_on(grid: tuple[float, float], number: float) -> Any:
+    """Return the number nearest to this one among those that lie any number of steps from the first of a grid.
+
+    Args:
+        grid: its first number, and the width of a step.
+    """
+    first, step = grid
+    return _plain(first + round((number - first) / step) * step)
 
 
 def is_number(value: object) -> bool:

@@ -13,7 +13,7 @@ from .kinds import Refusal, nearest
 from .model import Answering, Binding, Function, placeholders
 from .placeholder_check import check_placeholders
 
-__all__ = ["declared_by", "with_commands"]
+__all__ = ["Operations", "check_names", "declared_by", "read_draw", "read_draws", "with_commands"]
 
 Operations = dict[str, tuple[Binding, ...] | Function]
 
@@ -62,10 +62,10 @@ def _command(
     stated = table["effect"] if isinstance(table["effect"], list) else [table["effect"]]
     (first, *then) = (_effect(operation, inputs, protocol) for one in stated for operation, inputs in one.items())
     effect = [first.effect, *(one.effect for one in then)]
-    draws = _draws(table, key)
+    draws = read_draws(table, key)
     arguments, within = table["arguments"], f"{key}.effect" if then else f"{key}.effect.{first.operation}"
-    _check_names(draws, placeholders(arguments), f"{key}.arguments", "is given to no argument of the tool")
-    _check_names(draws, names_in(effect), within, "has no part in it, so that nothing says what it does at the device")
+    check_names(draws, placeholders(arguments), f"{key}.arguments", "is given to no argument of the tool")
+    check_names(draws, names_in(effect), within, "has no part in it, so that nothing says what it does at the device")
     for argument, draw in draws.items():
         if is_computed(effect, argument) and not all(map(is_number, draw.means or draw.values)):
             raise Refusal(within, f"makes a number from ${argument}, which is no number for each of its values")
@@ -92,8 +92,9 @@ def _effect(operation: str, inputs: Mapping[str, Any], protocol: OtProtocol) -> 
     return Effect(operation=operation, effect=inputs, documents=tuple(documents))
 
 
-def _draws(table: Mapping[str, Any], key: str) -> dict[str, Draw]:
-    draws = {name: _draw(draw, f"{key}.draws.{name}") for name, draw in table["draws"].items()}
+def read_draws(table: Mapping[str, Any], key: str) -> dict[str, Draw]:
+    """Return the values that each argument may be given, from the keys ``draws`` and ``means``."""
+    draws = {name: read_draw(draw, f"{key}.draws.{name}") for name, draw in table["draws"].items()}
     for name, meanings in table["means"].items():
         if isinstance(meanings, list):
             drawn = draws.get(name, Draw())
@@ -111,7 +112,8 @@ def _draws(table: Mapping[str, Any], key: str) -> dict[str, Draw]:
     return draws
 
 
-def _draw(draw: Sequence[Any] | Mapping[str, Any], key: str) -> Draw:
+def read_draw(draw: Sequence[Any] | Mapping[str, Any], key: str) -> Draw:
+    """Return the values of a list, or of a range."""
     if isinstance(draw, list):
         return Draw(values=tuple(draw))
     assert isinstance(draw, Mapping)
@@ -123,10 +125,11 @@ def _draw(draw: Sequence[Any] | Mapping[str, Any], key: str) -> Draw:
     return found
 
 
-def _check_names(draws: Mapping[str, Draw], used: set[str], key: str, objection: str) -> None:
+def check_names(draws: Mapping[str, Draw], used: set[str], key: str, objection: str) -> None:
+    """Refuse a name that nothing draws, and a value that nothing uses."""
     for name in sorted(used - draws.keys()):
         known = nearest(name, draws) if draws else "it draws none"
-        raise Refusal(key, f"${name} is no value that the command draws; {known}")
+        raise Refusal(key, f"${name} is no value that is drawn; {known}")
     for name in sorted(draws.keys() - used):
         raise Refusal(key, f"${name} {objection}")
 

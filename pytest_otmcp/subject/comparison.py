@@ -68,8 +68,13 @@ def stored_bindings(adapter: Adapter, operation: str) -> list[dict[str, Any]] | 
 
 def _stored(binding: Binding) -> dict[str, Any]:
     stored = asdict(binding)
-    if binding.command is not None and not binding.command.then:
-        del stored["command"]["then"]
+    for name in ("then", "holds"):
+        if binding.command is not None and not stored["command"][name]:
+            del stored["command"][name]
+    for rule in (*stored["outputs"].values(), *stored["keep"].values()):
+        for name in ("means", "grid"):
+            if not rule[name]:
+                del rule[name]
     for name in ("command", "keep", "topicless"):
         if not stored[name]:
             del stored[name]

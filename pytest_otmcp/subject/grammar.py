@@ -13,6 +13,7 @@ from typing import Any
 from ..core.error_registry import registry
 from ..protocols.protocol import Operation, OtProtocol
 from .answers import UNCLASSIFIED
+from .command import is_computation
 from .kinds import (
     ANYTHING,
     COUNT,
@@ -27,6 +28,7 @@ from .kinds import (
     TEXT,
     Kind,
     OneOf,
+    Scalar,
     at_most,
     strings,
 )
@@ -287,6 +289,11 @@ _ERROR_RULE = Table(
     }
 )
 _ERRORS = Named("errors", ListOf(_ERROR_RULE, "a list of rules"))
+_COMPUTATION = Scalar(
+    expected="a number made from $value, such as '$value * 10 + 5'",
+    accepts=lambda value: isinstance(value, str) and is_computation(value),
+    described={"type": "string", "pattern": r"^\$value( ?\* ?-?\d{1,15}(\.\d{1,9})?)?( ?[+-] ?\d{1,15}(\.\d{1,9})?)?$"},
+)
 OUTPUT_TABLE = Table(
     {
         "path": Key(
@@ -304,6 +311,22 @@ OUTPUT_TABLE = Table(
     }
 )
 _OUTPUT = Named("output", ByType(str, PATH, OUTPUT_TABLE))
+_READ_VALUE = Named(
+    "read_value",
+    ByType(
+        str,
+        PATH,
+        Table(
+            {
+                **OUTPUT_TABLE.keys,
+                "means": Key(
+                    ByType(str, _COMPUTATION, MapOf(ANYTHING)),
+                    "What the device holds by it: a number made from $value, or a table of words, each with what is held then.",
+                ),
+            }
+        ),
+    ),
+)
 _KEEP = MapOf(_OUTPUT)
 _RANGE = Table(
     {
@@ -312,6 +335,7 @@ _RANGE = Table(
         "step": Key(NUMBER, "From one value to the next.", default=1),
     }
 )
+_VALUES = ByType(list, ListOf(ANYTHING, "a list of values", least=1), _RANGE)
 _INPUT_TYPE = Named("input_type", OneOf(("string", "int", "float", "bool", "hex", "json", "list")))
 
 
@@ -479,6 +503,17 @@ def adapter_table(protocol: OtProtocol) -> Table:
                 "Tools with a vocabulary of their own, each with its effect on the device.",
                 default={},
             ),
+            **(
+                {
+                    "readings": Key(
+                        MapOf(Named(f"adapter.{protocol.key}.reading", reading_table(protocol))),
+                        "Tools that read under names of their own, each with what it reads.",
+                        default={},
+                    )
+                }
+                if protocol.places
+                else {}
+            ),
             "bind": Key(
                 Named(f"adapter.{protocol.key}.bind", _bind(protocol)), "Which tool performs which operation, and how."
             ),
@@ -543,18 +578,7 @@ def command_table(protocol: OtProtocol) -> Table:
         effect = ByType(list, ListOf(each, "a list of effects, in their order", least=1), effect)
     return Table(
         {
-            "tool": Key(TEXT, "Name of the MCP tool; without it that of the command."),
-            "arguments": Key(_TABLE, "Template; $name is a value that is drawn.", default={}),
-            "draws": Key(
-                MapOf(ByType(list, ListOf(ANYTHING, "a list of values", least=1), _RANGE)),
-                "Argument to the values that it may be given: a list, or a range.",
-                default={},
-            ),
-            "means": Key(
-                MapOf(ByType(list, ListOf(ANYTHING, "a list of values", least=1), _TABLE)),
-                "Argument to a table of its values, each with what it is at the device, or to a list of that for the values in 'draws'.",
-                default={},
-            ),
+            **_vocabulary("command"),
             "effect": Key(
                 effect,
                 "What the device gets: an operation with its inputs, or a list of these, in their order.",
@@ -565,13 +589,45 @@ def command_table(protocol: OtProtocol) -> Table:
     )
 
 
+def reading_table(protocol: OtProtocol) -> Table:
+    """Return the grammar of one named reading."""
+    return Table(
+        {
+            **_vocabulary("reading"),
+            "source": Key(
+                _one_of({name: protocol.operations[name] for name in protocol.places if name in protocol.operations}),
+                "What is read at the device: an operation with its inputs, which is one value.",
+                required=True,
+            ),
+            "value": Key(_READ_VALUE, "Where the value is in the answer, and what it means.", required=True),
+            "holds": Key(
+                _VALUES, "What the device may hold there: a list, or a range; without it whatever fits the place."
+            ),
+            **_answering("; without it as the adapter does"),
+        }
+    )
+
+
+def _vocabulary(of: str) -> dict[str, Key]:
+    return {
+        "tool": Key(TEXT, f"Name of the MCP tool; without it that of the {of}."),
+        "arguments": Key(_TABLE, "Template; $name is a value that is drawn.", default={}),
+        "draws": Key(MapOf(_VALUES), "Argument to the values that it may be given: a list, or a range.", default={}),
+        "means": Key(
+            MapOf(ByType(list, ListOf(ANYTHING, "a list of values", least=1), _TABLE)),
+            "Argument to a table of its values, each with what it is at the device, or to a list of that for the values in 'draws'.",
+            default={},
+        ),
+    }
+
+
 def _one_of(operations: Mapping[str, Operation]) -> Table:
     return Table(
         {name: Key(_effect(operation), _sentence(operation.meaning)) for name, operation in operations.items()},
         rules=(
             Rule(
                 holds=lambda table: len(table) == 1,
-                objection=f"expected one operation that writes, such as {next(iter(operations), 'none')}",
+                objection=f"expected one operation, such as {next(iter(operations), 'none')}",
                 described={"minProperties": 1, "maxProperties": 1},
             ),
         ),

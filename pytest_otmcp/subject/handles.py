@@ -32,7 +32,7 @@ def check_handles(
     _check(connect.arguments if connect is not None else {}, set(), f"{key}.connect.arguments")
     _check(ready, first, f"{key}.ready.arguments")
     for operation, case in cases:
-        place = f"bind.{operation}" if case.command is None else f"commands.{case.command.name}"
+        place = f"bind.{operation}" if case.command is None else f"{case.command.table}.{case.command.name}"
         _check(case.arguments, every, f"{key}.{place}.arguments")
 
 

@@ -56,6 +56,7 @@ from .model import (
     environment_names,
 )
 from .placeholder_check import check_placeholders
+from .reading_tables import with_readings
 
 __all__ = ["load_subject", "named_subject", "reference_subject"]
 
@@ -260,11 +261,13 @@ def _unclaimed(
     protocol: str, table: Mapping[str, Any], operations: Mapping[str, tuple[Binding, ...] | Function]
 ) -> dict[str, str]:
     unclaimed: dict[str, str] = {}
+    known = protocols()[protocol]
+    other = [name for name, operation in known.operations.items() if not operation.voluntary and name not in operations]
     if table["commands"]:
         # The file has said how the adapter writes.
-        known = protocols()[protocol].operations.items()
-        other = (name for name, operation in known if operation.writes and not operation.voluntary)
-        unclaimed |= {name: "the adapter writes by named commands" for name in other if name not in operations}
+        unclaimed |= {name: "the adapter writes by named commands" for name in other if known.operations[name].writes}
+    if table.get("readings"):
+        unclaimed |= {name: "the adapter reads by named readings" for name in other if name in known.places}
     for choice in protocols()[protocol].choices:
         unbound = choice.unbound.get(table[choice.key], {})
         unclaimed |= {name: reason for name, reason in unbound.items() if name not in operations}
@@ -357,9 +360,12 @@ def _operations(
         if both := sorted(functions.keys() & operations.keys()):
             raise Refusal(f"{key}.bind.{both[0]}", f"{source.name} has a function for this operation as well")
         operations |= functions
+    known = protocols()[protocol]
     if table["commands"]:
-        return with_commands(operations, table["commands"], f"{key}.commands", answering, protocols()[protocol])
-    if not {"bind", "bindings"} & table.keys():
+        operations = with_commands(operations, table["commands"], f"{key}.commands", answering, known)
+    if readings := table.get("readings"):
+        operations = with_readings(operations, readings, f"{key}.readings", answering, known)
+    if not (table["commands"] or readings or {"bind", "bindings"} & table.keys()):
         if not answering.native:
             raise Refusal(key, "expected 'bind' tables, which say what tool performs which operation")
         operations |= _without_voluntary(protocol, reference_subject().adapters[protocol].operations)

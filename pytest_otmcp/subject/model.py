@@ -24,6 +24,7 @@ from ..protocols.protocol import (
     GOVERNANCE,
     GUARD,
     LAUNCHES,
+    READINGS,
     RECOVERY,
     SECURE,
     TIMES,
@@ -128,6 +129,10 @@ class OutputRule:
             each element.
         then: JMESPath over the result of ``convert``, with the same names.
         wrap: a single value becomes a list of one.
+        means: of a named reading: what the value says that the device holds, as a computation such as ``$value * 10``, or as a table of
+            words.
+        grid: with a computation: the device holds this number, or one that lies some steps of this width from it, so that the nearest of
+            these is meant: answers are rounded.
     """
 
     path: str | None = None
@@ -137,6 +142,8 @@ class OutputRule:
     convert: str | None = None
     then: str | None = None
     wrap: bool = False
+    means: str | Mapping[str, Any] | None = None
+    grid: tuple[float, float] | None = None
 
     def about(self, told: Mapping[str, object]) -> OutputRule:
         """Return the rule for a call of which the tool was told these inputs."""
@@ -231,8 +238,8 @@ class Binding:
         answering: how the tool's answers are read.
         max_age_s: how old an answer may be that comes from a cache, as declared; None for one that must not.
         keep: handle to its place in the answer, for the arguments of later calls of the session.
-        command: the effect of a named command; then the template's names are those of the values that the command draws, and the binding
-            is for the inputs that the command can express. None for a tool that is the operation itself.
+        command: the effect of a named command, or the source of a named reading; then the template's names are those of the values that it
+            draws, and the binding is for the inputs that it can express. None for a tool that is the operation itself.
     """
 
     tool: str
@@ -257,11 +264,13 @@ class Binding:
         taken: Mapping[str, object] = MappingProxyType({}),
     ) -> dict[str, Any]:
         """Return the tool's arguments for these inputs and handles; the argument for one that is not given is left out."""
-        values = self.told(inputs) if self.command is None else self.command.arguments(inputs) or {}
-        given = {**values, **taken}
+        given = {**self._values(inputs), **taken}
         template = _without(self.arguments, (placeholders(self.arguments) | handles(self.arguments)) - given.keys())
         filled: dict[str, Any] = replace_template(template, given, endpoint)
         return filled
+
+    def _values(self, inputs: Mapping[str, object]) -> dict[str, Any]:
+        return self.told(inputs) if self.command is None else self.command.arguments(inputs) or {}
 
     def told(self, inputs: Mapping[str, object]) -> dict[str, Any]:
         """Return these inputs as the tool is told them: with its names, addresses and types."""
@@ -269,7 +278,7 @@ class Binding:
 
     def outputs_for(self, inputs: Mapping[str, object]) -> Mapping[str, OutputRule]:
         """Return where the outputs are in the answer to a call with these inputs."""
-        told = self.told(inputs)
+        told = self._values(inputs)
         return {name: rule.about(told) for name, rule in self.outputs.items()}
 
     def _prepared(self, name: str, value: Any) -> Any:
@@ -564,7 +573,7 @@ class Adapter:
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""
         operation, _, optional = facet.partition(".")
-        if operation in (*LAUNCHES, RECOVERY, COMMANDS, CLIENT_CERTIFICATE, ACCOUNT):
+        if operation in (*LAUNCHES, RECOVERY, COMMANDS, READINGS, CLIENT_CERTIFICATE, ACCOUNT):
             return None
         bound = self.operations.get(operation)
         if bound is None:
@@ -624,17 +633,29 @@ class Adapter:
     @property
     def commands(self) -> dict[str, str]:
         """The named commands, each with the operation that it performs."""
-        return {
-            case.command.name: name
+        return self._named(readings=False)
+
+    @property
+    def readings(self) -> dict[str, str]:
+        """The named readings, each with the operation that it performs."""
+        return self._named(readings=True)
+
+    def _named(self, *, readings: bool) -> dict[str, str]:
+        return {command.name: operation for operation, command in self.vocabulary(readings=readings)}
+
+    def vocabulary(self, *, readings: bool) -> list[tuple[str, Command]]:
+        """Return the named readings, or else the named commands, each with the operation that it performs."""
+        return [
+            (name, case.command)
             for name, bound in self.operations.items()
             if isinstance(bound, tuple)
             for case in bound
-            if case.command is not None
-        }
+            if case.command is not None and (case.command.holds is not None) == readings
+        ]
 
     @property
     def offered(self) -> tuple[str, ...]:
-        """The voluntary facets that bindings, launches and named commands claim."""
+        """The voluntary facets that bindings, launches, named commands and named readings claim."""
         known = protocols()[self.protocol]
         return tuple(
             facet for facet in known.facets if known.is_voluntary(facet) and self._has_place(*facet.partition(".")[::2])
@@ -645,6 +666,8 @@ class Adapter:
             return LAUNCHES[operation] in self.variants
         if operation == COMMANDS:
             return bool(self.commands)
+        if operation == READINGS:
+            return bool(self.readings)
         if operation == CLIENT_CERTIFICATE:
             return SECURE_FORM in self.variants and "{cert}" in str(self.variants[SECURE_FORM])
         if operation == ACCOUNT:
@@ -688,6 +711,8 @@ class Adapter:
             facts["offered"] = list(self.offered)
         if self.commands:
             facts["commands"] = self.commands
+        if self.readings:
+            facts["readings"] = self.readings
         if self.bounds is not None:
             facts["bounds"] = cast(BoundsTold, self.bounds.as_record())
         if self.times is not None:

@@ -15,8 +15,7 @@ from typing import Protocol
 
 from ..core.errors import NoBindingError
 from ..protocols.journal import JournalEntry
-from ..protocols.proof import ENOUGH_BITS, Question, Way
-from ..protocols.registry import protocols
+from ..protocols.proof import ENOUGH_BITS, Proof, Question, Way
 from .reply import Reply
 from .subject_in_rig import SubjectInRig
 
@@ -59,6 +58,10 @@ class Provable(Protocol):
     @property
     def device(self) -> _Device:
         """The mock device."""
+
+    @property
+    def proof(self) -> Proof:
+        """The ways to prove it."""
 
     def can_ask_first(self, operation: str, inputs: Mapping[str, object]) -> bool:
         """The subject claims the operation and says how to ask for it with these inputs, before any other operation."""
@@ -104,7 +107,7 @@ async def prove(
     Raises:
         NoBindingError: the subject file has no way to prove it.
     """
-    proof = protocols()[at.protocol].proof
+    proof = at.proof
     failed: list[_Attempt] = []
     strong, bits, unlisted = False, 0, set[str]()
     for way in sorted(proof.ways, key=lambda way: way.operation != preferred):
@@ -166,7 +169,7 @@ async def why_reachable(at: Provable, *, time_scale: float) -> str | None:
         None when nothing is reached; else why nothing may be written, a sentence.
     """
     rng = random.Random(at.protocol)
-    calls = protocols()[at.protocol].proof.unreachable
+    calls = at.proof.unreachable
     asked = next((call for call in calls if at.can_ask_first(call.operation, call.made(rng))), None)
     if asked is None:
         return "no operation shows whether the adapter reaches another device during an outage; nothing was written"
@@ -232,7 +235,7 @@ def _explained(at: Provable, failed: Sequence[_Attempt], *, known: bool) -> str:
 
 
 def _unprovable(at: Provable, *, arrived: bool) -> str:
-    proof = protocols()[at.protocol].proof
+    proof = at.proof
     ways = " or ".join(dict.fromkeys(way.operation for way in proof.ways))
     arrival = ""
     if proof.arrival is not None:

@@ -16,6 +16,8 @@ from typing import Any, cast
 from ..core.finding import Finding
 from ..core.verdict import INEXPRESSIBLE, UNBOUND
 from ..protocols.journal import ADAPTER, judged
+from ..protocols.proof import Proof
+from ..protocols.protocol import READINGS
 from ..protocols.registry import protocols
 from ..record.schema import DeviceEntry, Footprint, Role
 from ..subject.command import Command, names_in
@@ -25,6 +27,7 @@ from .asked_for import AskedFor
 from .cursor import Oracle
 from .ledger import Entry, Ledger
 from .limits import excess
+from .named_readings import with_readings
 from .player import FreshSession, Player
 from .reply import Reply
 from .session_in_rig import Guise, SessionInRig
@@ -75,26 +78,37 @@ class Rig(WriteGate):
             return None
         return self._excess(operation, binding.tool, binding.fill(inputs, self._player.placeholders))
 
-    # -- named commands -----------------------------------------------------------------------------------
+    # -- named commands and readings ----------------------------------------------------------------------
 
     def commands(self) -> list[tuple[str, Command]]:
         """Return the named commands of the subject, each with the operation that it performs first."""
-        known = protocols()[self.protocol].operations
+        return self._named(readings=False)
+
+    def readings(self) -> list[tuple[str, Command]]:
+        """Return the named readings of the subject, each with the operation that it performs."""
+        return self._named(readings=True) if self.subject.claims(READINGS) else []
+
+    @property
+    def proof(self) -> Proof:
+        """What shows that a session talks to the mock device: that of the protocol, and the named readings of the subject."""
+        return with_readings(protocols()[self.protocol].proof, self.protocol, self.readings())
+
+    def _named(self, *, readings: bool) -> list[tuple[str, Command]]:
         return [
             (name, case.command)
-            for name in known
-            if known[name].writes and self.subject.claims(name)
+            for name in protocols()[self.protocol].operations
+            if self.subject.claims(name)
             for case in self.bindings(name) or ()
-            if case.command is not None
+            if case.command is not None and (case.command.holds is not None) == readings
         ]
 
     def by_command_alone(self, operation: str) -> bool:
-        """Tell whether a subject performs an operation by named commands and in no other way."""
+        """Tell whether a subject performs an operation by named commands or readings and in no other way."""
         cases = self.bindings(operation)
         return bool(cases) and all(case.command is not None for case in cases or ())
 
     def expresses(self, operation: str, inputs: Mapping[str, object]) -> bool:
-        """Tell whether the subject's named commands can express these inputs, where it performs the operation by them alone."""
+        """Tell whether the subject's named commands, or readings, can express these inputs, where it performs the operation by them alone."""
         return not self.by_command_alone(operation) or self._player.is_bound(operation, inputs)
 
     def _is_command(self, operation: str, inputs: Mapping[str, object]) -> bool:
@@ -102,7 +116,7 @@ class Rig(WriteGate):
 
     def _must_express(self, operation: str, inputs: Mapping[str, object]) -> None:
         if not self.expresses(operation, inputs):
-            reason = INEXPRESSIBLE
+            reason = INEXPRESSIBLE[protocols()[self.protocol].operations[operation].writes]
         elif not self.subject.claims(operation) or self._is_voluntary_for_others(operation, inputs):
             reason = UNBOUND
         else:
@@ -235,7 +249,7 @@ class Rig(WriteGate):
         }
 
     def drawn_for(self, operation: str, name: str, **inputs: object) -> object:
-        """Return the value of the argument of a named command that makes an input; None where no command performs the operation."""
+        """Return the value of the argument of a named command, or reading, that makes an input; None where neither performs the operation."""
         cases = self.bindings(operation)
         binding = next((case for case in cases or () if case.fits(inputs)), None)
         if binding is None or binding.command is None:

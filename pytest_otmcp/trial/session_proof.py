@@ -9,8 +9,10 @@ from typing import Any
 
 from ..core.errors import NoBindingError
 from ..protocols.journal import JournalEntry, judged
+from ..protocols.proof import Proof
 from ..protocols.registry import protocols
 from .adapter_under_test import AdapterUnderTest
+from .named_readings import with_readings
 from .proving import prove, why_reachable
 from .reply import Reply
 
@@ -32,6 +34,7 @@ class _Session:
         self.protocol = under_test.adapter.protocol
         self.subject = under_test.stated
         self.device = _Device(under_test)
+        self.proof = _proof(under_test)
         self._under_test = under_test
         self._since = since
 
@@ -71,13 +74,18 @@ async def prove_session(under_test: AdapterUnderTest) -> str | None:
         except NoBindingError as gap:
             operation, problem = None, f"{gap}; nothing was written"
         finally:
-            for poke in protocols()[under_test.adapter.protocol].proof.restore(image):
+            for poke in _proof(under_test).restore(image):
                 await device.poke(**poke)
         if operation is None:
             cursor.refused = ("", problem)
         else:
             cursor.proven = cursor.preferred = operation
     return None if cursor.refused is None else cursor.refused[1]
+
+
+def _proof(under_test: AdapterUnderTest) -> Proof:
+    protocol = under_test.adapter.protocol
+    return with_readings(protocols()[protocol].proof, protocol, under_test.adapter.vocabulary(readings=True))
 
 
 async def why_reachable_in_outage(under_test: AdapterUnderTest) -> str | None:

@@ -15,6 +15,7 @@ from ..core.errors import KitError, NoBindingError
 from ..core.finding import Finding
 from ..protocols.journal import JournalEntry
 from ..protocols.oracle import state_changing
+from ..protocols.proof import Proof
 from ..protocols.registry import protocols
 from .device_in_rig import DeviceInRig
 from .field_proof import prove_by_reading
@@ -108,6 +109,11 @@ class WriteGate(ABC):
         code = "not_proven_again" if known else "not_proven"
         self._ledger.refused = Finding(code=code, message=f"{self.protocol}: {problem}", cause=cause)
         raise EndedError
+
+    @property
+    @abstractmethod
+    def proof(self) -> Proof:
+        """What shows that a session talks to the mock device."""
 
     # -- around each call ---------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""The Modbus TCP adapter with a vocabulary of its own: valves, buttons and a pump in the place of coils and registers."""
+"""The Modbus TCP adapter with a vocabulary of its own: sensors, valves, buttons and a pump in the place of coils and registers."""
 
 from __future__ import annotations
 
@@ -9,16 +9,44 @@ from typing_extensions import TypedDict
 
 from ..core import AdapterServer, Arguments, Call, Nothing, tool
 from .adapter import build as build_adapter
-from .shapes import Reachable, Unit, WriteCoil, WriteRegister
+from .shapes import Bits, Reachable, Registers, Unit, WriteCoil, WriteRegister
 from .tools import Tools
 
 __all__ = ["NamedTools", "build"]
 
+_TEMPERATURES = {"inlet": 10, "outlet": 12}
+"""Input registers, in tenths of a degree."""
 _VALVES = {"inlet": 4, "outlet": 5}
 _START_BUTTON = 10
 _PUMP_SPEED, _BATCH_LITRES = 40, 41
 _START_BATCH = 12
 """Coils and registers of the plant."""
+
+
+class Sensor(Arguments):
+    """Where a temperature is measured."""
+
+    place: Literal["inlet", "outlet"]
+
+
+class Temperature(TypedDict):
+    """A temperature, in degrees Celsius."""
+
+    place: str
+    celsius: float
+
+
+class ValveName(Arguments):
+    """A valve."""
+
+    valve: Literal["inlet", "outlet"]
+
+
+class Position(TypedDict):
+    """Where a valve is."""
+
+    valve: str
+    position: Literal["open", "closed"]
 
 
 class Speed(Arguments):
@@ -57,6 +85,20 @@ class NamedTools:
     async def plant_status(self, call: Call, arguments: Nothing) -> Reachable:
         """Confirm that the plant answers."""
         return await self._tools.ping(call, Unit())
+
+    @tool("modbus.read_input")
+    async def read_temperature(self, call: Call, arguments: Sensor) -> Temperature:
+        """Read a temperature."""
+        register = Registers(address=_TEMPERATURES[arguments.place], count=1)
+        (tenths,) = (await self._tools.read_input_registers(call, register))["values"]
+        return {"place": arguments.place, "celsius": tenths / 10}
+
+    @tool("modbus.read_coils")
+    async def valve_position(self, call: Call, arguments: ValveName) -> Position:
+        """Say whether a valve is open."""
+        coil = Bits(address=_VALVES[arguments.valve], count=1)
+        (is_open,) = (await self._tools.read_coils(call, coil))["values"]
+        return {"valve": arguments.valve, "position": "open" if is_open else "closed"}
 
     @tool("modbus.write_holding", writes=True)
     async def set_pump_speed(self, call: Call, arguments: Speed) -> Done:

@@ -14,7 +14,7 @@ from pytest_otmcp.reference_adapters.defects.table import DEFECTS
 from pytest_otmcp.core.error_registry import registry, wire_codes
 from pytest_otmcp.core.matrix import SUITES
 from pytest_otmcp.protocols.own import OWN
-from pytest_otmcp.protocols.protocol import COMMANDS, OtProtocol
+from pytest_otmcp.protocols.protocol import COMMANDS, READINGS, OtProtocol
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import reference_subject
 from pytest_otmcp.suite.catalogue import all_tasks
@@ -53,8 +53,9 @@ def test_every_code_of_a_protocol_becomes_a_code_of_the_registry(protocol: OtPro
 def test_every_operation_is_bound_by_the_reference_subject_and_asked_for_by_a_task(protocol: OtProtocol) -> None:
     adapter = reference_subject().adapters[protocol.key]
     assert set(adapter.operations) == set(protocol.operations)
-    # Named commands are those of a subject file of its own.
-    assert {*adapter.offered, COMMANDS} == {facet for facet in protocol.facets if protocol.is_voluntary(facet)}
+    # Named commands and readings are those of a subject file of its own.
+    named = {COMMANDS} | ({READINGS} if protocol.places else set())
+    assert {*adapter.offered, *named} == {facet for facet in protocol.facets if protocol.is_voluntary(facet)}
     needed = {
         real
         for task in all_tasks().values()

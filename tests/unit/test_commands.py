@@ -225,15 +225,15 @@ WRONG = {
         "commands.run.effect: $speed has no part in it, so that nothing says what it does at the device"
     ),
     "": "adapter.modbus.commands.run.effect: expected a table, found nothing",
-    "effect = {}": "adapter.modbus.commands.run.effect: expected one operation that writes, such as write_holding",
+    "effect = {}": "adapter.modbus.commands.run.effect: expected one operation, such as write_holding",
     "effect.write_holding = { address = 1 }": "commands.run.effect.write_holding.value: expected a value, found nothing",
     "effect.read_holding = { address = 1 }": "commands.run.effect.read_holding: unknown key; did you mean 'write_holding'?",
     "effect.write_holding = { adress = 1, value = 1 }": "effect.write_holding.adress: unknown key; did you mean 'address'?",
     'effect.write_holding = { address = 1, value = "$speed" }': (
-        "commands.run.effect.write_holding: $speed is no value that the command draws; it draws none"
+        "commands.run.effect.write_holding: $speed is no value that is drawn; it draws none"
     ),
     'draws.speed = [1, 2]\narguments = { a = "$sped" }\neffect.write_holding = { address = 1, value = "$speed" }': (
-        "commands.run.arguments: $sped is no value that the command draws; did you mean 'speed'?"
+        "commands.run.arguments: $sped is no value that is drawn; did you mean 'speed'?"
     ),
     'draws.speed = [1, 2]\neffect.write_holding = { address = 1, value = "$speed" }': (
         "commands.run.arguments: $speed is given to no argument of the tool"

@@ -8,7 +8,7 @@ import struct
 import pytest
 
 from conformance.requirements.opcua_values import further_types
-from conformance.requirements.registers import same_bits, unpacked
+from pytest_otmcp.protocols.modbus.registers import same_bits, unpacked
 
 
 @pytest.mark.parametrize(

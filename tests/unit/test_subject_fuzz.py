@@ -162,7 +162,7 @@ BY_KIT_ALONE = (
     "expected a date",
     "more than one for the item",
     ", found nan",
-    "is no value that the command draws",
+    "is no value that is drawn",
     "is given to no argument of the tool",
     "has no part in it",
     "which is no number for each of its values",

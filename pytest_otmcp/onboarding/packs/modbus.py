@@ -10,6 +10,7 @@ from typing import Any
 from ...protocols.exercise import Asked
 from ...protocols.journal import Entries, JournalEntry
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
+from ...protocols.modbus.registers import ORDERS
 from ..evidence import beyond
 from ..experimenter import Experimenter
 from ..experiments import every_write
@@ -177,6 +178,35 @@ def _told(entry: JournalEntry) -> tuple[str, dict[str, object]] | None:
     return operation, told | ({"values": list(values)} if operation.endswith("s") else {"value": values[0]})
 
 
+_READS = {1: "read_coils", 2: "read_discrete_inputs", 3: "read_holding", 4: "read_input"}
+"""Functions of reads to the operation that asks for them."""
+_TYPED = {"read_holding": "read_typed", "read_input": "read_typed_input"}
+_TYPES = {1: ("int16",), 2: ("float32", "int32", "uint32"), 4: ("float64", "int64", "uint64")}
+"""Registers of a number to its types."""
+_LONGEST_BLOCK = 32
+
+
+def _sources(entry: JournalEntry) -> list[tuple[str, dict[str, object]]]:
+    request = as_modbus(entry)
+    operation, count = _READS.get(request.get("function", 0)), request.get("quantity") or 0
+    if entry["kind"] != "request" or operation is None or request.get("unit") != 1 or count > _LONGEST_BLOCK:
+        return []
+    cells = range(request["address"], request["address"] + count)
+    found: list[tuple[str, dict[str, object]]] = [(operation, {"address": cell, "count": 1}) for cell in cells]
+    for length, types in _TYPES.items() if operation in _TYPED else ():
+        for address in cells[: len(cells) - length + 1]:
+            orders = ORDERS if length > 1 else ORDERS[:1]
+            found += [
+                (
+                    _TYPED[operation],
+                    {"address": address, "type": kind} | ({} if order == ORDERS[0] else {"byte_order": order}),
+                )
+                for kind in types
+                for order in orders
+            ]
+    return found
+
+
 _ALL_TABLES = r"(read|get)_?registers?"
 """Names of tools that may read all four tables, told apart by numbers such as 40001."""
 _UNIT = r"^(unit|unit_id|unitid|slave|slave_id|slaveid)$"
@@ -250,6 +280,7 @@ PACK = Pack(
     stand_ins={"unit": _UNIT},
     names=("modbus", "modbus-tcp", "modbus_tcp", "tcp"),
     told=_told,
+    sources=_sources,
     samples=_samples,
     errors={
         "illegal_address": (

@@ -183,6 +183,11 @@ def _told(entry: JournalEntry) -> tuple[str, dict[str, object]] | None:
     return "write", {"node": nodes[0]["node_id"], "value": nodes[0]["value"]}
 
 
+def _sources(entry: JournalEntry) -> list[tuple[str, dict[str, object]]]:
+    nodes = as_opcua(entry).get("nodes", []) if entry["kind"] == "Read" and entry["request"] else []
+    return [("read", {"node": node["node_id"]}) for node in nodes if node["attribute"] == "Value"]
+
+
 PACK = Pack(
     protocol="opcua",
     operations={
@@ -234,6 +239,7 @@ PACK = Pack(
     lists=frozenset({"nodes", "items", "arguments"}),
     names=("opcua", "opc-ua", "opc_ua"),
     told=_told,
+    sources=_sources,
     samples=_samples,
     errors={
         "illegal_address": (r"BadNodeIdUnknown|0x8034",),

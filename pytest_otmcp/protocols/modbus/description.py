@@ -14,6 +14,7 @@ from .external import EXTERNAL
 from .field import FIELD
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
+from .places import PLACES
 from .proof import PROOF
 from .trace import facts
 
@@ -48,6 +49,7 @@ PROTOCOL = OtProtocol(
     session_oracles=(StateChanges, Exchanges),
     proof=PROOF,
     exercise=EXERCISE,
+    places=PLACES,
     always=True,
     secure=True,
 )

@@ -9,7 +9,7 @@ from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import StateChanges
 from .decoder import OpcUaConversation
 from .entries import carried_out, describe, node_ids
-from .exercise import EXERCISE
+from .exercise import EXERCISE, PLACES
 from .external import EXTERNAL
 from .field import FIELD
 from .operations import OPERATIONS
@@ -44,6 +44,7 @@ PROTOCOL = OtProtocol(
     session_oracles=(StateChanges,),
     proof=PROOF,
     exercise=EXERCISE,
+    places=PLACES,
     always=True,
     secure=True,
     accounts=True,

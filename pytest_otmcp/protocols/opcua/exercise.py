@@ -15,23 +15,35 @@ from ..point import BOOL, FLOAT64, Point
 from ..proof import Call
 from .entries import as_opcua, statuses
 
-__all__ = ["EXERCISE"]
+__all__ = ["EXERCISE", "PLACES"]
 
 _READ, _WRITTEN = "Temperature", "ValvePosition"
 _NODES = (_READ, "Pressure", "FlowRate", "TankLevel", "Vibration", "PhLevel", "Humidity", "MotorSpeed")
+_ACTUATORS = (_WRITTEN, "HeaterPower", "FanSpeed", "ConveyorSpeed", "PumpEnabled", "AlarmActive")
 
 
 def _node(name: str) -> Point:
     """Return the value of a variable."""
     node = f"ns=2;s={name}"
     return Point(
-        kind=BOOL if name == "PumpEnabled" else FLOAT64,
+        kind=BOOL if name in ("PumpEnabled", "AlarmActive") else FLOAT64,
         reading=Call("read", {"node": node}),
         writing=Call("write", {"node": node}),
         pokes=lambda value: ({"node": name, "value": value},),
         held=lambda value: {node: value},
+        found=lambda image: image["points"][node],
         condition={"node": node},
     )
+
+
+def _place(inputs: Mapping[str, Any]) -> Point | None:
+    known = {f"ns=2;s={name}": name for name in (*_NODES, *_ACTUATORS)}
+    name = known.get(str(inputs["node"]))
+    return None if name is None else _node(name)
+
+
+PLACES = {"read": _place}
+"""The places of the mock OPC UA server that named readings may be of: its sensors and actuators."""
 
 
 _VALVE, _FAN, _HEATER, _PUMP = map(_node, (_WRITTEN, "FanSpeed", "HeaterPower", "PumpEnabled"))

@@ -12,7 +12,7 @@ from ..defect import Change, Data, Defect, Handler, around, defect, tools_of
 from .err import retries_when_back
 from .wr import sent_again
 
-__all__ = ["DEFECTS"]
+__all__ = ["DEFECTS", "asked_otherwise", "other"]
 
 _SPEED, _VALVE, _START = "set_pump_speed", "move_valve", "press_start"
 _DIM, _SWITCH, _BELL = "set_brightness", "switch_light", "ring_bell"
@@ -126,8 +126,9 @@ def denied_after_sending(*names: str) -> Change:
     return apply
 
 
-def _other(one: str, other: str) -> Callable[[Any], Any]:
-    return {one: other, other: one}.__getitem__
+def other(one: str, another: str) -> Callable[[Any], Any]:
+    """Return what makes each of two values the other one."""
+    return {one: another, another: one}.__getitem__
 
 
 DEFECTS: tuple[Defect, ...] = (
@@ -135,7 +136,7 @@ DEFECTS: tuple[Defect, ...] = (
         "MU-02n",
         "modbus",
         "The valves are mixed up.",
-        asked_otherwise(_VALVE, valve=_other("inlet", "outlet")),
+        asked_otherwise(_VALVE, valve=other("inlet", "outlet")),
         "WR-001 WR-002 WR-014",
         named=True,
     ),
@@ -143,7 +144,7 @@ DEFECTS: tuple[Defect, ...] = (
         "MU-02nq",
         "mqtt",
         "The lights are mixed up when one is dimmed.",
-        asked_otherwise(_DIM, light=_other("kitchen", "hall")),
+        asked_otherwise(_DIM, light=other("kitchen", "hall")),
         "WR-003 WR-004 WR-005 WR-010 WR-014",
         "WR-001 WR-014",
         named=True,
@@ -225,7 +226,8 @@ DEFECTS: tuple[Defect, ...] = (
         "modbus",
         "A speed that equals the one before is told as set, and not written.",
         the_same_is_spared,
-        "WR-014",
+        "WR-010 WR-014",
+        "WR-001 WR-014",
         named=True,
     ),
     defect(

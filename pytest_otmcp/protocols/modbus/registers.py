@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 
-from pytest_otmcp.core.strict_json import Wide, same_json
+from ...core.strict_json import Wide, same_json
 
 __all__ = ["FORMATS", "ORDERS", "WIDE", "registers", "same_bits", "unpacked"]
 

@@ -1,0 +1,372 @@
+"""The search for named readings: tools that read under names of their own, such as ``read_temperature``.
+
+Everything that such a tool reads is set at random, several times; a value of the answers that follows what one place held is a reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ..core.strict_json import same_json
+from ..protocols.oracle import state_changing
+from ..protocols.point import BOOL, Point
+from ..protocols.registry import protocols
+from ..subject.answers import extract, read_answer
+from ..subject.bindings import output_rule
+from ..subject.command import is_number
+from .evidence import FORMS, numbers_in, places, tells_failure
+from .experimenter import Experimenter
+from .guess import Guess
+from .input_schema import properties, required, resolved
+from .matching import reading_tools
+from .pack import Pack
+from .proposal import Proposal
+
+__all__ = ["Reading", "as_proposals", "look_for_readings"]
+
+_TOOLS, _VALUES, _FOUND = 12, 6, 8
+"""At most so many tools are tried, so many values of an argument, and so many readings are proposed for one tool."""
+_SAMPLES = 7
+"""So often all that a tool reads is set at random."""
+_USUAL = 3000
+_ENOUGH = 4
+"""Samples that have to agree."""
+_STEPS = (1, 2, 5, 10, 20, 50, 100)
+"""What answers may be rounded to, in the device's own terms."""
+_EXACT = 1e-6
+
+Source = tuple[str, Mapping[str, Any]]
+"""An operation that reads one value, with its inputs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """A named reading as a subject file states it.
+
+    Attributes:
+        tool: name of the tool.
+        arguments: of the tool, fixed but for the one that names the place.
+        draws: argument to its values, each with the input of the source that it means; none where no argument names the place.
+        source: operation and inputs; the input that an argument names is ``$argument``.
+        form: where the answer's document is.
+        rule: where the value is in it.
+        means: what the value means; None where it is what the device holds.
+        step: answers are rounded to so much of what the device holds; 0 where they are not.
+        samples: so many answers show it.
+        otherwise: a value of the device at which the answer did not follow; None where there was none.
+        good: an answer.
+    """
+
+    tool: str
+    arguments: Mapping[str, Any]
+    draws: Mapping[str, Mapping[str, Any]]
+    source: Source
+    form: str
+    rule: Mapping[str, Any]
+    means: object
+    step: float
+    samples: int
+    otherwise: object
+    good: Mapping[str, object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Sample:
+    message: Mapping[str, object]
+    held: Mapping[int, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fit:
+    means: object
+    otherwise: object
+    step: float = 0
+    error: float = 0
+
+
+async def look_for_readings(
+    experimenter: Experimenter,
+    pack: Pack,
+    tools: Mapping[str, Mapping[str, Any]],
+    taken: Set[str],
+    say: Callable[[str], None],
+) -> dict[str, Reading]:
+    """Call each tool whose name says that it reads, and that no operation needs, with each value of the argument that may name a place.
+
+    Args:
+        taken: names of tools that are not called.
+    """
+    found: dict[str, Reading] = {}
+    if pack.sources is None:
+        return found
+
+    def again(one: Reading) -> Callable[[], Awaitable[str | None]]:
+        given = {
+            name: next(iter(one.draws[name])) if name in one.draws else value for name, value in one.arguments.items()
+        }
+
+        async def proves() -> str | None:
+            telling = [
+                reading
+                for reading in await _at(experimenter, pack, tool, given)
+                if reading.means is None or isinstance(reading.means, str)
+            ]
+            return telling[0].source[0] if telling else None
+
+        return proves
+
+    for tool in reading_tools(pack, tools, taken)[:_TOOLS]:
+        readings = await _of_tool(experimenter, pack, tool, resolved(tools[tool], None))
+        for place, one in enumerate(readings[:_FOUND], start=1):
+            fixed = "" if one.draws else " ".join(map(str, one.arguments.values()))
+            name = tool if len(readings) == 1 else f"{tool} {fixed or one.rule.get('path', place)}"
+            name = f"{name} {place}" if name in found else name
+            found[name] = one
+            if not isinstance(one.means, Mapping):
+                # Of a number so many random bits have come through that nobody has guessed it.
+                experimenter.proofs.append(again(one))
+            say(f"  {name:<15} (a reading, proven: {one.samples} answers followed what the device held)")
+    return found
+
+
+def as_proposals(readings: Mapping[str, Reading]) -> dict[str, Proposal]:
+    """Return the first reading of each operation as a proposal for it, as far as it is a call that the device has to answer."""
+    found: dict[str, Proposal] = {}
+    for one in readings.values():
+        arguments = {
+            name: next(iter(one.draws[name])) if name in one.draws else value for name, value in one.arguments.items()
+        }
+        guess = replace(Guess.of_tool(one.tool, ()), operation=one.source[0], arguments=arguments)
+        found.setdefault(one.source[0], Proposal(guess=guess, proven=True, evidence=[], form=one.form, good=one.good))
+    return found
+
+
+async def _of_tool(experimenter: Experimenter, pack: Pack, tool: str, schema: Mapping[str, Any]) -> list[Reading]:
+    arguments, needed = properties(schema), required(schema)
+    listed = {name: [*(arguments.get(name, {}).get("enum") or ())][:_VALUES] for name in needed}
+    if not all(listed.values()):
+        return []
+    first = {name: values[0] for name, values in listed.items()}
+    found = await _at(experimenter, pack, tool, first)
+    for name in needed if found else ():
+        by_value = {listed[name][0]: found}
+        for value in listed[name][1:]:
+            by_value[value] = await _at(experimenter, pack, tool, {**first, name: value})
+        joined = _joined(name, by_value)
+        if any(one.draws for one in joined):
+            return joined
+    return found
+
+
+def _joined(name: str, by_value: Mapping[Any, Sequence[Reading]]) -> list[Reading]:
+    """Return the readings of a tool, those as one that are the same but for an argument and the input of the source which it names."""
+    alike: dict[str, dict[Any, Reading]] = {}
+    for value, readings in by_value.items():
+        for one in readings:
+            key = repr((one.source[0], sorted(one.source[1]), one.form, one.rule, one.means))
+            alike.setdefault(key, {}).setdefault(value, one)
+    return [one for group in alike.values() for one in _as_one(name, group)]
+
+
+def _as_one(name: str, group: Mapping[Any, Reading]) -> list[Reading]:
+    several = [*group.values()]
+    operation, inputs = several[0].source
+    moved = [key for key in inputs if any(other.source[1][key] != inputs[key] for other in several)]
+    draws = {value: one.source[1][moved[0]] for value, one in group.items()} if len(moved) == 1 else {}
+    if len({*draws.values()}) < len(several) or not all(isinstance(value, str) for value in draws):
+        return several
+    return [
+        replace(
+            several[0],
+            arguments={**several[0].arguments, name: f"${name}"},
+            draws={name: draws},
+            source=(operation, {**inputs, moved[0]: f"${name}"}),
+            step=max(one.step for one in several),
+            samples=sum(one.samples for one in several),
+            otherwise=next((one.otherwise for one in several if one.otherwise is not None), None),
+        )
+    ]
+
+
+async def _at(experimenter: Experimenter, pack: Pack, tool: str, arguments: Mapping[str, Any]) -> list[Reading]:
+    """Return what a tool reads with these arguments."""
+    sources = await _asked_for(experimenter, pack, tool, arguments)
+    known = protocols()[pack.protocol].places
+    points = [(source, place) for source in sources if (place := known[source[0]](source[1])) is not None]
+    samples: list[_Sample] = []
+    for turn in range(_SAMPLES if points else 0):
+        for point in _apart(place for _, place in points):
+            for poke in point.pokes(_any(experimenter, point, turn)):
+                await experimenter.device.poke(**poke)
+        image = await experimenter.device.image()
+        shown = await experimenter.read(Guess.of_tool(tool, arguments), arguments)
+        if state_changing(shown.entries):
+            return []
+        if shown.message is None or tells_failure(shown.message):
+            continue
+        held = {place: point.found(image) for place, (_, point) in enumerate(points) if point.found is not None}
+        samples.append(_Sample(message=shown.message, held=held))
+    if len(samples) < _ENOUGH:
+        return []
+    found: list[Reading] = []
+    for form, rule, said in _said(samples):
+        tried = ((source, _fit(point, place, samples, said)) for place, (source, point) in enumerate(points))
+        fits = [(source, fit) for source, fit in tried if fit is not None]
+        if not fits:
+            continue
+        source, fit = min(fits, key=lambda one: (one[1].otherwise is not None, one[1].step, one[1].error > _EXACT))
+        if any(one.source == source for one in found):
+            continue
+        found.append(
+            Reading(
+                tool=tool,
+                arguments=arguments,
+                draws={},
+                source=source,
+                form=form,
+                rule=rule,
+                means=fit.means,
+                step=fit.step,
+                samples=len(samples),
+                otherwise=fit.otherwise,
+                good=samples[0].message,
+            )
+        )
+    return found
+
+
+async def _asked_for(experimenter: Experimenter, pack: Pack, tool: str, arguments: Mapping[str, Any]) -> list[Source]:
+    assert pack.sources is not None
+    shown = await experimenter.read(Guess.of_tool(tool, arguments), arguments)
+    if shown.message is None or state_changing(shown.entries):
+        return []
+    every = [source for entry in shown.entries for source in pack.sources(entry)]
+    return [source for place, source in enumerate(every) if source not in every[:place]]
+
+
+def _apart(points: Iterator[Point]) -> Iterator[Point]:
+    """Yield the points that do not share a cell of the device with one before them."""
+    seen: set[str] = set()
+    for point in points:
+        cells = {*point.held(False if point.kind == BOOL else 1)}
+        if seen.isdisjoint(cells):
+            seen |= cells
+            yield point
+
+
+def _any(experimenter: Experimenter, point: Point, turn: int) -> Any:
+    """Return a value for a point: whole numbers as sensors have them, and at last one of the lower and one of the upper half of all."""
+    rng, kind = experimenter.random, point.kind
+    if kind == BOOL:
+        return bool(rng.getrandbits(1))
+    if not kind.is_whole:
+        return rng.randrange(2, 200) / 2
+    middle = (kind.lowest + kind.highest + 1) // 2
+    if turn == _SAMPLES - 1:
+        return rng.randrange(middle, kind.highest + 1)
+    return rng.randrange(kind.lowest, middle) if turn == _SAMPLES - 2 else rng.randrange(1, min(_USUAL, kind.highest))
+
+
+def _said(samples: Sequence[_Sample]) -> Iterator[tuple[str, Mapping[str, Any], list[Any]]]:
+    """Yield each place of the answers that may be a value, with what stands there."""
+    for form in FORMS:
+        documents = [read_answer(sample.message, form)[0] for sample in samples]
+        if any(document is None for document in documents):
+            continue
+        first = documents[0]
+        for rule in _rules(first):
+            said = [extract({"value": output_rule(rule)}, document)["value"] for document in documents]
+            if all(one is None or is_number(one) or isinstance(one, str | bool) for one in said):
+                yield form, rule, said
+        return
+
+
+def _rules(document: Any) -> Iterator[Mapping[str, Any]]:
+    if isinstance(document, str):
+        yield from numbers_in(document)
+        return
+    for path, value in places(document, ""):
+        yield {"path": path}
+        if isinstance(value, str):
+            yield from ({"path": path, **rule} for rule in numbers_in(value))
+
+
+def _fit(point: Point, place: int, samples: Sequence[_Sample], said: Sequence[Any]) -> _Fit | None:
+    """Return what the values mean, if they follow what a place of the device held."""
+    held = [sample.held[place] for sample in samples]
+    if point.kind == BOOL:
+        return _by_words(held, said)
+    pairs = [(one, value) for one, value in zip(held, said, strict=True) if is_number(one) and is_number(value)]
+    usual = [(one, value) for one, value in pairs if abs(one) <= _USUAL]
+    for fitting in (pairs, usual):
+        if (
+            len({value for _, value in fitting}) >= _ENOUGH
+            and (line := _line(fitting, point.kind.is_whole)) is not None
+        ):
+            follows = [
+                is_number(value) and line.error(one, value) < line.step / 2
+                for one, value in zip(held, said, strict=True)
+            ]
+            return _Fit(
+                means=line.text,
+                step=line.step if line.step > 1 else 0,
+                error=max(line.error(*pair) for pair in fitting),
+                otherwise=next((one for one, right in zip(held, follows, strict=True) if not right), None),
+            )
+    return None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Line:
+    """What makes what was held from what was said: a factor, a number to be added, and what the result is rounded to."""
+
+    scale: float
+    offset: float
+    step: float
+
+    def error(self, held: float, said: float) -> float:
+        return abs(self.scale * said + self.offset - held)
+
+    @property
+    def text(self) -> str | None:
+        if (self.scale, self.offset) == (1, 0):
+            return None
+        text = "$value" if self.scale == 1 else f"$value * {_plain(self.scale)}"
+        return text if not self.offset else f"{text} {'+' if self.offset > 0 else '-'} {_plain(abs(self.offset))}"
+
+
+def _line(pairs: Sequence[tuple[float, float]], is_whole: bool) -> _Line | None:
+    """Return the plainest line that is about as near as the nearest."""
+    (low, said_low), (high, said_high) = min(pairs), max(pairs)
+    if said_low == said_high:
+        return None
+    scale = (high - low) / (said_high - said_low)
+    for step in _STEPS if is_whole else (0.5,):
+        lines = [
+            _Line(scale=round(scale, digits), offset=offset, step=step)
+            for digits in range(10)
+            for offset in (0.0, round(low - scale * said_low, digits))
+        ]
+        near = {line: max(line.error(*pair) for pair in pairs) for line in lines if line.scale}
+        good = [line for line, error in near.items() if error < step / 2 and error <= 1.1 * min(near.values()) + _EXACT]
+        if good:
+            return good[0]
+    return None
+
+
+def _by_words(held: Sequence[bool], said: Sequence[Any]) -> _Fit | None:
+    words: dict[bool, Any] = {}
+    for one, value in zip(held, said, strict=True):
+        if value is None or not same_json(words.setdefault(one, value), value):
+            return None
+    if len(words) < 2 or same_json(words[True], words[False]):
+        return None
+    plain = words[True] is True and words[False] is False
+    shown = {str(words[one]).lower() if isinstance(words[one], bool) else str(words[one]): one for one in (True, False)}
+    return _Fit(means=None if plain else shown, otherwise=None)
+
+
+def _plain(number: float) -> str:
+    return f"{number:.9f}".rstrip("0").rstrip(".")
