@@ -78,7 +78,8 @@ async def byte_orders_are_kept(run: Repetition, modbus: Rig) -> None:
     """Read numbers of each type in each byte order, from registers that the kit has computed: bytes that are all different, bounds, -1, pi, and
     values at random. Write a tag whose registers are swapped, and read it.
 
-    Said: the number; an order or a type that the adapter does not offer fails with `unsupported_operation` or `invalid_input`.
+    Said: the number; an order or a type that the adapter does not offer fails with `unsupported_operation` or `invalid_input`. That an end of
+        a type of whole numbers is no value, as some devices have it, is a warning.
     Seen: the tag's registers are those of its order.
     Why: with swapped registers 1.0 is a number that looks like a measurement.
     """
@@ -100,7 +101,8 @@ async def byte_orders_are_kept(run: Repetition, modbus: Rig) -> None:
                     if exact_or_refused(run, reply, *_NOT_OFFERED, requirement="ENC-001") and not _is_number(
                         reply.outputs.get("value"), value, kind
                     ):
-                        run.judge(reply, [_wrong(reply, value, "ENC-001")])
+                        told = reply.outputs.get("value")
+                        run.judge(reply, [_wrong(reply, value, "ENC-001", warning=_says_no_value(told, value, kind))])
     if modbus.subject.claims("write_tag"):
         await _swapped_tag(run, modbus)
 
@@ -124,6 +126,13 @@ def _is_number(found: object, wanted: float, kind: str) -> bool:
     if kind.startswith("float"):
         return same_bits(found, wanted, kind)
     return found == str(wanted) or (not isinstance(found, bool) and same_json(found, wanted))
+
+
+def _says_no_value(told: object, value: float, kind: str) -> bool:
+    """Tell whether an answer has no number at all where the registers hold an end of a type, which to some devices is no value."""
+    bits = 8 * struct.calcsize(FORMATS[kind])
+    ends = {"int": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1), "uint": (2**bits - 1,)}.get(kind.rstrip("0123456789"), ())
+    return value in ends and (told is None or (isinstance(told, str) and not any(map(str.isdigit, told))))
 
 
 async def _swapped_tag(run: Repetition, modbus: Rig) -> None:

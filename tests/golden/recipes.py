@@ -64,7 +64,7 @@ _DEFECTS = """
 _MOST_ITEMS = 4
 """Items of a defect that fails more of them: all fail for the same reason."""
 
-_NAMED = "WR-001.modbus WR-003.modbus WR-004.modbus WR-014.modbus WR-003.mqtt WR-004.mqtt WR-014.mqtt"
+_NAMED = "M2 RD-008.modbus WR-001.modbus WR-003.modbus WR-004.modbus WR-014.modbus WR-003.mqtt WR-004.mqtt WR-014.mqtt"
 """Items of the reference adapters that have a vocabulary of their own."""
 
 _FOREIGN = {

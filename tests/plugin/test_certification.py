@@ -89,7 +89,9 @@ def pair(out: Path, tmp_path: Path) -> tuple[Path, Path]:
 def applying() -> list[str]:
     """Return the items that apply to the reference adapters, which have no named commands and are no Sparkplug host."""
     tasks = tasks_by_id(suites=SUITES).values()
-    return sorted(task.id for task in tasks if not any(need.endswith((".commands", ".host")) for need in task.needs))
+    return sorted(
+        task.id for task in tasks if not any(need.endswith((".commands", ".readings", ".host")) for need in task.needs)
+    )
 
 
 def runs() -> int:

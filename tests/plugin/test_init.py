@@ -351,6 +351,91 @@ def test_tools_of_another_vocabulary_are_proposed_with_the_effect_that_the_devic
     assert "publish" not in adapter.unclaimed
 
 
+PLANT = """
+import asyncio
+import os
+from typing import Literal
+from mcp.server import MCPServer
+from pymodbus.client import AsyncModbusTcpClient
+
+server = MCPServer("plant")
+
+async def held(address, count, table="holding_registers"):
+    client = AsyncModbusTcpClient(os.environ["PLC_HOST"], port=int(os.environ["PLC_PORT"]), timeout=1, retries=0)
+    try:
+        if not await client.connect():
+            raise RuntimeError("could not connect")
+        answer = await getattr(client, f"read_{table}")(address, count=count)
+        if answer.isError():
+            raise RuntimeError(f"refused: {answer}")
+        return answer.bits if table == "coils" else answer.registers
+    finally:
+        client.close()
+
+@server.tool()
+async def read_temperature(sensor: Literal["inlet", "outlet", "ambient"]) -> dict:
+    (raw,) = await held({"inlet": 20, "outlet": 21, "ambient": 25}[sensor], 1, "input_registers")
+    return {"sensor": sensor, "celsius": (raw - 65536 if raw > 32767 else raw) / 10}
+
+@server.tool()
+async def tank_level() -> str:
+    (raw,) = await held(30, 1)
+    return f"The tank is {raw / 276.48:.1f} % full."
+
+@server.tool()
+async def overview() -> dict:
+    block = await held(40, 6)
+    return {"bar": round(block[0] * 0.01, 2), "flow": block[2], "kwh": (block[5] << 16 | block[4]) / 100, "ok": True}
+
+@server.tool()
+async def pump_state() -> dict:
+    bits = await held(7, 1, "coils")
+    return {"state": "running" if bits[0] else "stopped"}
+
+@server.tool()
+async def read_serial_number() -> str:
+    await held(40, 6)
+    return "4711"
+
+server.run()
+"""
+
+
+@pytest.mark.long
+def test_tools_that_read_under_names_of_their_own_are_proposed_with_the_place_that_they_follow(
+    proposed: Proposed,
+) -> None:
+    _, adapter = proposed(PLANT, "modbus", "PLC")
+    found = {command.name: (operation, command) for operation, command in adapter.vocabulary(readings=True)}
+    assert found.keys() == {
+        "read_temperature",
+        "tank_level",
+        "overview bar",
+        "overview flow",
+        "overview kwh",
+        "pump_state",
+    }
+    rules = {
+        case.command.name: rule
+        for cases in adapter.operations.values()
+        if isinstance(cases, tuple)
+        for case in cases
+        if case.command is not None
+        for rule in case.outputs.values()
+    }
+    operation, temperature = found["read_temperature"]
+    assert (operation, temperature.effect) == ("read_typed_input", {"address": "$sensor", "type": "int16"})
+    assert temperature.draws["sensor"].means == (20, 21, 25)
+    assert (rules["read_temperature"].path, rules["read_temperature"].means) == ("celsius", "$value * 10")
+    assert found["overview kwh"][0] == "read_typed"
+    assert found["overview kwh"][1].effect == {"address": 44, "type": "uint32", "byte_order": "CDAB"}
+    assert (rules["overview bar"].means, rules["overview flow"].means) == ("$value * 100", None)
+    assert rules["pump_state"].means == {"running": True, "stopped": False}
+    level = found["tank_level"][1].holds
+    assert level is not None
+    assert level.step > 13
+
+
 QUICK = ("mqtt",)
 DEVICES = """{"kit-device": {"vendor_id": "0ABC", "device_id": "0001", "modules": [
 {"slot": 2, "module": "00000020", "submodule": "00000001", "outputs": 8}]}}"""

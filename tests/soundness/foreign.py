@@ -33,6 +33,8 @@ SHAPES = {
     "mqtt-wait": "foreign_mqtt",
     "opcua-items": "foreign_opcua",
     "modbus-valves": "foreign_commands",
+    "opcua-brewery": "foreign_readings",
+    "modbus-tank": "foreign_readings",
     "mqtt-lights": "foreign_commands",
     "mqtt-host": "foreign_sparkplug",
     "mqtt-listener": "foreign_sparkplug",

@@ -173,6 +173,11 @@ BY_KIT_ALONE = (
     "found an empty table",
     "expected as many values as the list of this argument",
     "has this effect as well",
+    "read the same place",
+    "has no such place, or it holds more than one value",
+    "is what none of the words in 'value.means' means",
+    "what is always the same shows no reading",
+    "is no value that the place in 'source' can hold",
 )
 """Refusals beyond the schema: languages inside of strings, other files, rules about several tables, TOML's types."""
 
@@ -203,6 +208,8 @@ def drawn(kind: Kind, choice: random.Random) -> Any:
             return datetime.date(2030, 1, choice.randint(1, 31))
         case Scalar() if kind is FLAG:
             return choice.choice([True, False])
+        case Scalar() if "$value" in kind.expected:
+            return choice.choice(["$value", "$value * 0.1 - 40"])
         case Scalar() if kind is ANYTHING:
             return choice.choice([1, "a", [True], {}])
         case Scalar():

@@ -84,8 +84,9 @@ def _number(operation: str) -> Place:
 
 
 def _is_there(inputs: Mapping[str, Any], address: object, count: int) -> bool:
-    known = isinstance(address, int) and not isinstance(address, bool)
-    return known and inputs.get("unit", 1) == 1 and 0 <= address <= _SIZE - count
+    if not isinstance(address, int) or isinstance(address, bool):
+        return False
+    return inputs.get("unit", 1) == 1 and 0 <= address <= _SIZE - count
 
 
 PLACES: Mapping[str, Place] = {**{name: _cell(name) for name in _CELLS}, **{name: _number(name) for name in _NUMBERS}}

@@ -1,0 +1,98 @@
+"""An OPC UA adapter that reads under names of its own, and its lies; and a Modbus one, in sentences: no tool takes a node or a register.
+
+``opcua-brewery``: sensors by a word, in Fahrenheit for one of them, and a pump that is on or off; structured content. It connects for each call.
+``modbus-tank``: a level in percent with one decimal, and a state in a word.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from typing import Any
+
+from asyncua import Client, ua
+from foreign import Failure, Result, Shape, prose, structured
+from foreign_modbus import endpoint, transact
+
+DEADLINE_S = 1.5
+AT_ONCE = 4
+"""Connections that it has at the same time."""
+NODES = {"temperature": "Temperature", "pressure": "Pressure", "level": "TankLevel"}
+LEVEL, MIXER = 30, 7
+FULL = 27648
+"""An analog input of 100 percent."""
+
+
+def opcua_brewery(lie: str | None, read_only: bool) -> Shape:
+    remembered: dict[str, Any] = {}
+    turns = asyncio.Semaphore(AT_ONCE)
+
+    async def read(name: str) -> Any:
+        async with (
+            turns,
+            asyncio.timeout(2 * DEADLINE_S),
+            Client(os.environ["PLANT_URL"], timeout=DEADLINE_S) as client,
+        ):
+            return await client.get_node(f"ns=2;s={name}").read_value()
+
+    async def told(name: str, node: str, make: Any) -> Result:
+        if lie == "from-memory" and name in remembered:
+            return structured({"value": remembered[name]})
+        try:
+            value = make(await read(node))
+        except (OSError, ua.UaError) as error:
+            if lie == "the-last-one" and name in remembered:
+                return structured({"value": remembered[name]})
+            kind = "refused" if isinstance(error, ua.UaStatusCodeError) else "offline"
+            return structured({"error": f"{kind}: {type(error).__name__}"}, is_error=True)
+        remembered[name] = value
+        return structured({"value": value})
+
+    async def sensor(name: str) -> Result:
+        meant = [known for known in NODES if (known in name if lie == "guesses-words" else known == name)]
+        if not meant:
+            return structured({"error": f"invalid: there is no sensor {name!r}"}, is_error=True)
+        node = NODES["pressure" if lie == "one-for-another" and meant[0] == "level" else meant[0]]
+
+        def value(held: float) -> float:
+            held = min(held, 60.0) if lie == "clamped" else held
+            return round(held * 1.8 + 32, 1) if meant[0] == "temperature" else round(held, 2)
+
+        return await told(meant[0], node, value)
+
+    async def pump() -> Result:
+        words = ("on", "off") if lie == "other-word" else ("off", "on")
+        return await told("pump", "PumpEnabled", lambda held: words[held])
+
+    return Shape(
+        tools={"sensor": ({"name": "string"}, sensor), "pump": ({}, pump)},
+        strict=True,
+    )
+
+
+def modbus_tank(lie: str | None, read_only: bool) -> Shape:
+    turns = asyncio.Semaphore(AT_ONCE)
+
+    async def said(sentence: Any, work: Any) -> Result:
+        try:
+            async with turns:
+                return prose(sentence(await transact(*endpoint(), work)))
+        except Failure as failure:
+            return prose(f"Error: {failure}", is_error=True)
+
+    async def level() -> Result:
+        def sentence(answer: Any) -> str:
+            (held,) = answer.registers
+            percent = held / (27000 if lie == "another-scale" else FULL) * 100
+            return f"The tank is {percent:.1f} % full"
+
+        address = LEVEL + 1 if lie == "neighbour" else LEVEL
+        return await said(sentence, lambda client: client.read_holding_registers(address, count=1))
+
+    async def mixer() -> Result:
+        return await said(
+            lambda answer: "The mixer runs" if answer.bits[0] else "The mixer stands still",
+            lambda client: client.read_coils(MIXER, count=1),
+        )
+
+    return Shape(tools={"level": ({}, level), "mixer": ({}, mixer)}, strict=True)
