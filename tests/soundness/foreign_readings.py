@@ -29,8 +29,8 @@ def opcua_brewery(lie: str | None, read_only: bool) -> Shape:
 
     async def read(name: str) -> Any:
         async with (
-            turns,
             asyncio.timeout(2 * DEADLINE_S),
+            turns,
             Client(os.environ["PLANT_URL"], timeout=DEADLINE_S) as client,
         ):
             return await client.get_node(f"ns=2;s={name}").read_value()
@@ -75,8 +75,10 @@ def modbus_tank(lie: str | None, read_only: bool) -> Shape:
 
     async def said(sentence: Any, work: Any) -> Result:
         try:
-            async with turns:
+            async with asyncio.timeout(2 * DEADLINE_S), turns:
                 return prose(sentence(await transact(*endpoint(), work)))
+        except TimeoutError:
+            return prose("Error: no answer in time", is_error=True)
         except Failure as failure:
             return prose(f"Error: {failure}", is_error=True)
 
