@@ -5,7 +5,7 @@ Everything that such a tool reads is set at random, several times; a value of th
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,6 +31,8 @@ _TOOLS, _VALUES, _FOUND = 12, 6, 8
 _SAMPLES = 7
 """So often all that a tool reads is set at random."""
 _USUAL = 3000
+_STATES, _CELLS = 8, 4
+"""So many small numbers may each be a state, in at most so many cells that a call reads."""
 _ENOUGH = 4
 """Samples that have to agree."""
 _STEPS = (1, 2, 5, 10, 20, 50, 100)
@@ -195,9 +197,21 @@ async def _at(experimenter: Experimenter, pack: Pack, tool: str, arguments: Mapp
     sources = await _asked_for(experimenter, pack, tool, arguments)
     known = protocols()[pack.protocol].places
     points = [(source, place) for source in sources if (place := known[source[0]](source[1])) is not None]
+    found = await _following(experimenter, tool, arguments, points) if points else []
+    seen = {str(one.source) for one in found}
+    cells = [(source, point) for source, point in _apart(points) if point.kind.is_whole and str(source) not in seen]
+    for source, point in cells if len(cells) <= _CELLS else ():
+        found += await _by_number(experimenter, tool, arguments, source, point)
+    return found
+
+
+async def _following(
+    experimenter: Experimenter, tool: str, arguments: Mapping[str, Any], points: Sequence[tuple[Source, Point]]
+) -> list[Reading]:
+    """Return the values of the answers that follow what one of these places holds, all of which are set at random."""
     samples: list[_Sample] = []
-    for turn in range(_SAMPLES if points else 0):
-        for point in _apart(place for _, place in points):
+    for turn in range(_SAMPLES):
+        for _, point in _apart(points):
             for poke in point.pokes(_any(experimenter, point, turn)):
                 await experimenter.device.poke(**poke)
         image = await experimenter.device.image()
@@ -211,30 +225,54 @@ async def _at(experimenter: Experimenter, pack: Pack, tool: str, arguments: Mapp
     if len(samples) < _ENOUGH:
         return []
     found: list[Reading] = []
-    for form, rule, said in _said(samples):
+    for form, rule, said in _said([sample.message for sample in samples]):
         tried = ((source, _fit(point, place, samples, said)) for place, (source, point) in enumerate(points))
         fits = [(source, fit) for source, fit in tried if fit is not None]
         if not fits:
             continue
         source, fit = min(fits, key=lambda one: (one[1].otherwise is not None, one[1].step, one[1].error > _EXACT))
-        if any(one.source == source for one in found):
-            continue
-        found.append(
-            Reading(
-                tool=tool,
-                arguments=arguments,
-                draws={},
-                source=source,
-                form=form,
-                rule=rule,
-                means=fit.means,
-                step=fit.step,
-                samples=len(samples),
-                otherwise=fit.otherwise,
-                good=samples[0].message,
-            )
-        )
+        if not any(one.source == source for one in found):
+            given: dict[str, Any] = {"form": form, "rule": rule, "samples": len(samples), "good": samples[0].message}
+            found.append(Reading(tool=tool, arguments=arguments, draws={}, source=source, **_of(fit), **given))
     return found
+
+
+async def _by_number(
+    experimenter: Experimenter, tool: str, arguments: Mapping[str, Any], source: Source, point: Point
+) -> list[Reading]:
+    """Return the word of the answers that is another one for small numbers that a place holds, each of which may be a state."""
+    messages: dict[int, Mapping[str, object]] = {}
+    for number in range(_STATES):
+        for poke in point.pokes(number):
+            await experimenter.device.poke(**poke)
+        shown = await experimenter.read(Guess.of_tool(tool, arguments), arguments)
+        if state_changing(shown.entries):
+            return []
+        if shown.message is not None and not tells_failure(shown.message):
+            messages[number] = shown.message
+    for form, rule, said in _said([*messages.values()]) if messages else ():
+        words = {
+            word: number
+            for number, word in zip(messages, said, strict=True)
+            if isinstance(word, str) and said.count(word) == 1
+        }
+        if len(words) > 1 and not any(any(map(str.isdigit, word)) for word in words):
+            given: dict[str, Any] = {"form": form, "rule": rule, "samples": len(words), "good": next(iter(messages.values()))}
+            return [
+                Reading(
+                    tool=tool,
+                    arguments=arguments,
+                    draws={},
+                    source=source,
+                    **_of(_Fit(means=words, otherwise=None)),
+                    **given,
+                )
+            ]
+    return []
+
+
+def _of(fit: _Fit) -> dict[str, Any]:
+    return {"means": fit.means, "step": fit.step, "otherwise": fit.otherwise}
 
 
 async def _asked_for(experimenter: Experimenter, pack: Pack, tool: str, arguments: Mapping[str, Any]) -> list[Source]:
@@ -246,14 +284,14 @@ async def _asked_for(experimenter: Experimenter, pack: Pack, tool: str, argument
     return [source for place, source in enumerate(every) if source not in every[:place]]
 
 
-def _apart(points: Iterator[Point]) -> Iterator[Point]:
+def _apart(points: Iterable[tuple[Source, Point]]) -> Iterator[tuple[Source, Point]]:
     """Yield the points that do not share a cell of the device with one before them."""
     seen: set[str] = set()
-    for point in points:
+    for source, point in points:
         cells = {*point.held(False if point.kind == BOOL else 1)}
         if seen.isdisjoint(cells):
             seen |= cells
-            yield point
+            yield source, point
 
 
 def _any(experimenter: Experimenter, point: Point, turn: int) -> Any:
@@ -269,10 +307,10 @@ def _any(experimenter: Experimenter, point: Point, turn: int) -> Any:
     return rng.randrange(kind.lowest, middle) if turn == _SAMPLES - 2 else rng.randrange(1, min(_USUAL, kind.highest))
 
 
-def _said(samples: Sequence[_Sample]) -> Iterator[tuple[str, Mapping[str, Any], list[Any]]]:
+def _said(messages: Sequence[Mapping[str, object]]) -> Iterator[tuple[str, Mapping[str, Any], list[Any]]]:
     """Yield each place of the answers that may be a value, with what stands there."""
     for form in FORMS:
-        documents = [read_answer(sample.message, form)[0] for sample in samples]
+        documents = [read_answer(message, form)[0] for message in messages]
         if any(document is None for document in documents):
             continue
         first = documents[0]

@@ -48,6 +48,7 @@ _DUE = {
         "wrong_value": [
             (r"\): ([\w './,-]+?) should be (.+?), the reply says ", _OUTPUT),
             (r"\): expected (.+?), the reply says ", "{0}"),
+            (r"\): the device holds (.+?), by the subject file the reply means ", "what means {0} at the device"),
         ],
     }.items()
 }

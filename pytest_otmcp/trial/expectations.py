@@ -55,7 +55,7 @@ def succeeded(reply: Reply, *, requirement: str | None = None, **outputs: object
     return [
         Finding(
             code="wrong_value",
-            message=f"{reply.label}: {_differing(name, expected, reply.outputs[name])}",
+            message=f"{reply.label}: {_differing(name, expected, reply.outputs[name], meant=reply.meaning)}",
             requirement="ENC-003" if _rounded(expected, reply.outputs[name]) else requirement,
             evidence=_shown(reply.envelope),
         )
@@ -75,8 +75,13 @@ def _is_own_limit(reply: Reply) -> bool:
     return reply.error_code == "rate_limited" or (isinstance(said, str) and _OWN_LIMIT.search(said) is not None)
 
 
-def _differing(name: str, expected: object, found: object) -> str:
+def _differing(name: str, expected: object, found: object, *, meant: bool) -> str:
     """Say in what an output differs; of a long list its length, or its first element that does: two long lists look alike."""
+    if meant:
+        # The adapter's own words are another number, or no number at all; they are beside the finding.
+        held, says = (one[0] if isinstance(one, list) and len(one) == 1 else one for one in (expected, found))
+        what = "nothing that the subject file knows" if says is None else f"that it holds {_shown(says)}"
+        return f"the device holds {_shown(held)}, by the subject file the reply means {what}"
     if isinstance(expected, list) and isinstance(found, list) and len(expected) > _AT_A_GLANCE:
         if len(expected) != len(found):
             return f"{name} should be a list of {len(expected)}, the reply says a list of {len(found)}"

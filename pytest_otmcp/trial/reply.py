@@ -57,6 +57,7 @@ class Expectation:
         answering, outputs: the subject's rules for reading the answer.
         topicless: messages are payloads without their topics; ``topic`` is that of all of them, or None where it cannot be known.
         listed: the session lists the tool; the read-only variant may do without its writing tools.
+        meaning: the outputs are what the answer of a named reading means at the device.
     """
 
     adapter: str
@@ -69,6 +70,7 @@ class Expectation:
     listed: bool = True
     topicless: bool = False
     topic: str | None = None
+    meaning: bool = False
 
     @classmethod
     def of(
@@ -96,6 +98,7 @@ class Expectation:
             listed=listed,
             topicless=binding.topicless,
             topic=described.topic_of(inputs) if asked and described.topic_of is not None else None,
+            meaning=binding.command is not None and binding.command.holds is not None,
         )
 
 
@@ -113,6 +116,7 @@ class Reply:
         native: the envelope is the adapter's own.
         taken: the handles of earlier calls that the arguments hold, each by ``step.name``.
         asks: the call has ended with a question for the client.
+        meaning: the outputs are what the answer means at the device.
         excess: the bound of the tool's own schema that the arguments of a call that failed do not keep; None where they keep all.
     """
 
@@ -128,6 +132,7 @@ class Reply:
     taken: Mapping[str, object] = field(default_factory=dict)
     excess: str | None = None
     asks: bool = False
+    meaning: bool = False
 
     @property
     def tool(self) -> str:
@@ -216,6 +221,7 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
         outputs={},
         native=expected.answering.native,
         listed=expected.listed,
+        meaning=expected.meaning,
     )
     if exchange.response is None:
         if exchange.failure == CANCELLED:

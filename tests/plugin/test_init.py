@@ -393,6 +393,11 @@ async def pump_state() -> dict:
     return {"state": "running" if bits[0] else "stopped"}
 
 @server.tool()
+async def operating_mode() -> str:
+    (mode,) = await held(60, 1)
+    return ["off", "heating", "cooling"][mode]
+
+@server.tool()
 async def read_serial_number() -> str:
     await held(40, 6)
     return "4711"
@@ -410,6 +415,7 @@ def test_tools_that_read_under_names_of_their_own_are_proposed_with_the_place_th
     assert found.keys() == {
         "read_temperature",
         "tank_level",
+        "operating_mode",
         "overview bar",
         "overview flow",
         "overview kwh",
@@ -430,6 +436,7 @@ def test_tools_that_read_under_names_of_their_own_are_proposed_with_the_place_th
     assert found["overview kwh"][0] == "read_typed"
     assert found["overview kwh"][1].effect == {"address": 44, "type": "uint32", "byte_order": "CDAB"}
     assert (rules["overview bar"].means, rules["overview flow"].means) == ("$value * 100", None)
+    assert rules["operating_mode"].means == {"off": 0, "heating": 1, "cooling": 2}
     assert rules["pump_state"].means == {"running": True, "stopped": False}
     level = found["tank_level"][1].holds
     assert level is not None

@@ -14,11 +14,15 @@ from pytest_otmcp.errors import UsageError
 from pytest_otmcp.protocols.exercise import READING
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.replay.reply import restored_bindings
+from pytest_otmcp.report.plainly import due
+from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.subject import Subject, load_subject, named_subject
 from pytest_otmcp.subject.answers import extract
 from pytest_otmcp.subject.comparison import stored_bindings
 from pytest_otmcp.subject.model import Binding
+from pytest_otmcp.trial.expectations import succeeded
 from pytest_otmcp.trial.named_readings import asked_of, with_readings
+from pytest_otmcp.trial.reply import Expectation, observe
 
 HEAD = """
 [subject]
@@ -256,3 +260,23 @@ def test_a_node_that_the_mock_does_not_have_is_refused(load: Load) -> None:
 def test_a_protocol_without_places_has_no_readings(load: Load) -> None:
     with pytest.raises(UsageError, match=r"adapter\.mqtt\.readings: unknown key"):
         load(SOURCE, protocol="mqtt")
+
+
+@pytest.mark.parametrize(
+    ("value", "said", "meant"),
+    [
+        ('{ path = "v", means = "$value * 10" }', {"v": 21.6}, "that it holds 216"),
+        ('{ path = "v", means = { open = 1 } }', {"v": "ajar"}, "nothing that the subject file knows"),
+    ],
+)
+def test_a_wrong_reading_is_told_in_the_terms_of_the_device(load: Load, value: str, said: object, meant: str) -> None:
+    binding = only(load(f"source.read_holding = {{ address = 1, count = 1 }}\nvalue = {value}"), "read_holding")
+    message = {"jsonrpc": "2.0", "id": 1, "result": {"content": [{"type": "text", "text": json.dumps(said)}]}}
+    response = (json.dumps(message) + "\n").encode()
+    exchange = Exchange(tool="level", arguments={}, request=b"", response=response, sent_ns=1, received_ns=2)
+    expectation = Expectation.of(
+        binding, at(1), adapter="modbus", variant="rw", operation="read_holding", deadline_s=5, listed=True
+    )
+    (finding,) = succeeded(observe(exchange, expectation), values=[215])
+    assert finding.message == f"level(): the device holds 215, by the subject file the reply means {meant}"
+    assert due({"code": finding.code, "message": finding.message}) == "what means 215 at the device"  # type: ignore[typeddict-item]
