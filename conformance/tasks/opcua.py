@@ -14,8 +14,8 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
-from ..read_by_name import reads_by_name, told_at_once, told_in_turn
 from ..within import exercise
+from .by_name import reads_by_name, told_at_once, told_in_turn
 from .common import (
     NOTHING_SENT,
     QUIET_S,

@@ -257,7 +257,12 @@ async def _by_number(
             if isinstance(word, str) and said.count(word) == 1
         }
         if len(words) > 1 and not any(any(map(str.isdigit, word)) for word in words):
-            given: dict[str, Any] = {"form": form, "rule": rule, "samples": len(words), "good": next(iter(messages.values()))}
+            given: dict[str, Any] = {
+                "form": form,
+                "rule": rule,
+                "samples": len(words),
+                "good": next(iter(messages.values())),
+            }
             return [
                 Reading(
                     tool=tool,

@@ -17,15 +17,39 @@ from foreign_modbus import endpoint, transact
 DEADLINE_S = 1.5
 AT_ONCE = 4
 """Connections that it has at the same time."""
+MOST = 24
+"""Calls that it takes at the same time."""
 NODES = {"temperature": "Temperature", "pressure": "Pressure", "level": "TankLevel"}
 LEVEL, MIXER = 30, 7
 FULL = 27648
 """An analog input of 100 percent."""
 
 
+class Turns:
+    """The turns of calls: so many at once, and not too many that wait."""
+
+    def __init__(self) -> None:
+        self._turns = asyncio.Semaphore(AT_ONCE)
+        self._present = 0
+
+    async def __aenter__(self) -> None:
+        if self._present >= MOST:
+            raise Failure("busy", "busy: too many calls")
+        self._present += 1
+        try:
+            await self._turns.acquire()
+        except BaseException:
+            self._present -= 1
+            raise
+
+    async def __aexit__(self, *raised: object) -> None:
+        self._present -= 1
+        self._turns.release()
+
+
 def opcua_brewery(lie: str | None, read_only: bool) -> Shape:
     remembered: dict[str, Any] = {}
-    turns = asyncio.Semaphore(AT_ONCE)
+    turns = Turns()
 
     async def read(name: str) -> Any:
         async with (
@@ -40,6 +64,8 @@ def opcua_brewery(lie: str | None, read_only: bool) -> Shape:
             return structured({"value": remembered[name]})
         try:
             value = make(await read(node))
+        except Failure as failure:
+            return structured({"error": str(failure)}, is_error=True)
         except (OSError, ua.UaError) as error:
             if lie == "the-last-one" and name in remembered:
                 return structured({"value": remembered[name]})
@@ -71,7 +97,7 @@ def opcua_brewery(lie: str | None, read_only: bool) -> Shape:
 
 
 def modbus_tank(lie: str | None, read_only: bool) -> Shape:
-    turns = asyncio.Semaphore(AT_ONCE)
+    turns = Turns()
 
     async def said(sentence: Any, work: Any) -> Result:
         try:

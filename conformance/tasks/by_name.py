@@ -1,4 +1,4 @@
-"""Reads by the named readings of an adapter. Tasks and checks share it."""
+"""Reads by the named readings of an adapter."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-from .tasks.common import fresh, some_exchange
-from .within import allowed
+from ..within import allowed
+from .common import fresh, some_exchange
 
 __all__ = ["reads_by_name", "told_at_once", "told_in_turn"]
 
