@@ -62,7 +62,7 @@ def add_parser(subparsers: Any) -> None:
     )
     add_option(parser)
     parser.add_argument(
-        "operation", metavar="OPERATION", help="an operation of the protocol, such as read, or a named command"
+        "operation", metavar="OPERATION", help="an operation of the protocol, such as read, or a named command or reading"
     )
     parser.add_argument("inputs", metavar="KEY=VALUE", nargs="*", help="its inputs")
     add_json(parser)
@@ -111,14 +111,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _asked(subject: Subject, args: argparse.Namespace) -> tuple[Adapter, str, dict[str, object]]:
-    """Return the adapter, the operation and its inputs that are asked for, also by the name of a command.
+    """Return the adapter, the operation and its inputs that are asked for, also by the name of a command or a reading.
 
     Raises:
         UsageError: there is nothing of this name, it takes other values, or no tool is bound to it.
     """
     for adapter in subject.adapters.values():
-        if args.protocol in (None, adapter.protocol) and args.operation in adapter.commands:
-            operation = adapter.commands[args.operation]
+        named = adapter.commands | adapter.readings
+        if args.protocol in (None, adapter.protocol) and args.operation in named:
+            operation = named[args.operation]
             return adapter, operation, _effect(adapter, operation, args.operation, args.inputs)
     adapter = _adapter(subject, args.operation, args.protocol, args.inputs)
     inputs = _inputs(args.operation, protocols()[adapter.protocol].operations[args.operation], args.inputs)
@@ -127,7 +128,7 @@ def _asked(subject: Subject, args: argparse.Namespace) -> tuple[Adapter, str, di
 
 
 def _effect(adapter: Adapter, operation: str, name: str, words: Sequence[str]) -> dict[str, object]:
-    """Return the inputs of the operation that a command performs, for its arguments, which are written as KEY=VALUE.
+    """Return the inputs of the operation that a command or a reading performs, for its arguments, which are written as KEY=VALUE.
 
     Raises:
         UsageError: it draws other values.
@@ -142,7 +143,7 @@ def _effect(adapter: Adapter, operation: str, name: str, words: Sequence[str]) -
         return command.effect_of(values)
     except LookupError as error:
         key = error.args[0]
-        raise UsageError(f"{name}: the command does not draw {values[key]!r} for {key}") from None
+        raise UsageError(f"{name}: the subject file does not draw {values[key]!r} for {key}") from None
 
 
 def _adapter(subject: Subject, operation: str, protocol: str | None, words: Sequence[str]) -> Adapter:
@@ -156,7 +157,12 @@ def _adapter(subject: Subject, operation: str, protocol: str | None, words: Sequ
     asked = [protocol] if protocol is not None else list(subject.adapters)
     able = [key for key in asked if operation in protocols()[key].operations]
     if not able:
-        known = {name for key in asked for name in (*protocols()[key].operations, *subject.adapters[key].commands)}
+        known = {
+            name
+            for key in asked
+            for names in (protocols()[key].operations, subject.adapters[key].commands, subject.adapters[key].readings)
+            for name in names
+        }
         raise UsageError(describe_unknown("operation", operation, known))
     named = {word.partition("=")[0] for word in words}
     fitting = [key for key in able if named <= {*protocols()[key].operations[operation].accepted}] or able

@@ -229,12 +229,31 @@ def test_a_named_command_is_called_by_its_name_and_arguments(here: Path, capsys:
     assert "reply and device contradict each other" in lines
 
 
+READING = """
+[adapter.modbus.readings.level]
+tool = "read_multiple_holding_registers"
+arguments = { address = 30, count = 1 }
+source.read_holding = { address = 30, count = 1 }
+value = "data.values[0]"
+"""
+
+
+def test_a_named_reading_is_called_by_its_name(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "otmcp.toml").write_text(COMMAND + READING)
+    code, shown, _ = called(capsys, "level")
+    assert code == 0
+    adapter, device = rows(shown)
+    assert '-> read_multiple_holding_registers {"address": 30, "count": 1}' in adapter
+    assert any(line.startswith("-> request: read holding registers") for line in device)
+    assert "output values: [0]" in shown.splitlines()
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
         ((), "set_pump: percent must be given, as percent=VALUE"),
-        (("percent=101",), "set_pump: the command does not draw 101 for percent"),
-        (("percent=true",), "set_pump: the command does not draw True for percent"),
+        (("percent=101",), "set_pump: the subject file does not draw 101 for percent"),
+        (("percent=true",), "set_pump: the subject file does not draw True for percent"),
         (("percnt=1",), "set_pump: there is no argument 'percnt'; did you mean 'percent'?"),
     ],
 )
