@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from ..core.error_registry import ErrorCode, registry, wire_codes
 from ..core.finding_registry import FindingCode, finding_codes
-from ..protocols.protocol import ANY_READ, COMMANDS, FACETS, LAUNCHES, READ, READ_OR_STATUS, WRITE
+from ..protocols.protocol import ANY_READ, COMMANDS, FACETS, LAUNCHES, READ, READ_OR_STATUS, READINGS, WRITE
 from ..protocols.registry import protocols
 from ..subject.answers import UNCLASSIFIED
 from ..trial.explanation import explanation
@@ -288,7 +288,7 @@ def _explained_facet(identifier: str) -> Explained:
     table = f"[adapter.{key or 'KEY'}"
     if operation is None:
         about, claimed = FACETS[name][1], f"{table}.{LAUNCHES[name]}]" if name in LAUNCHES else ""
-        claimed = f"{table}.{COMMANDS}.NAME]" if name == COMMANDS else claimed
+        claimed = f"{table}.{name}.NAME]" if name in (COMMANDS, READINGS) else claimed
     else:
         about = f"{part!r} of the operation {first}: {operation.meaning}" if part else operation.meaning
         claimed = f"{table}.bind] {first}"
