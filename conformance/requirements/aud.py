@@ -9,6 +9,8 @@ from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked
+from pytest_otmcp.protocols.journal import JournalEntry
+from pytest_otmcp.protocols.oracle import state_changing
 from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.audit import Record, records_of, told_in
 from pytest_otmcp.trial.check import Checks
@@ -16,6 +18,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from ..tasks.common import QUIET_S
 from .fenced import approved_numbers, fenced, refused, written
 from .steps import a_read_works, answers_again, exercise, faulty, nothing_arrived, refusal, silence, since
 
@@ -260,30 +263,43 @@ async def _while_full(at: Rig, operation: str, **inputs: Any) -> Reply:
 
 
 async def _recorded_first(run: Repetition, at: Rig, audit: Mapping[str, Any], asked: Asked) -> None:
+    for attempt in range(_TRIES):
+        reply, entries, lines = await _read_while_it_waits(at, asked)
+        arrived = bool(nothing_arrived(at, entries, requirement="AUD-003"))
+        records = records_of(lines, audit["fields"])
+        await answers_again(run, at)
+        if not arrived or _of_tool(records, reply.tool):
+            return
+        if attempt or await _tells_something_of_itself(at):
+            # Something else that the adapter has to tell may have come first, and the log was read then.
+            first = next(entry for entry in entries if entry["state_changing"])
+            if not exercise(at).done([first], asked):
+                continue
+        what = "when its request had reached the device, the audit log had no record of it"
+        run.witnessed([_finding(reply, "audited_too_late", what, "AUD-003", records)])
+        return
+
+
+async def _read_while_it_waits(at: Rig, asked: Asked) -> tuple[Reply, list[JournalEntry], list[str]]:
+    """Write while the device is silent, and read the log as soon as it has seen a request that changes the plant; return the reply, what
+    the device saw by then, and the lines."""
     lines: list[str] = []
 
     async def look() -> None:
-        lines[:] = await at.session.audit()
+        lines.extend(await at.session.audit())
 
-    for _ in range(_TRIES):
-        await at.device.fault(*faulty(exercise(at).changing or exercise(at).writes, **silence(at)))
-        reply = await at.call_and_cancel(
-            asked.operation, seen={"state_changing": True}, timeout_s=_SEEN_S, meanwhile=look, **asked.inputs
-        )
-        await at.device.fault()
-        # On a busy machine the request may arrive after the log was read.
-        soon = reply.exchange.sent_ns + int(_SEEN_S * 1e9 / 2)
-        entries = [entry for entry in since(reply, await at.journal()) if entry["t_ns"] <= soon]
-        first = next((entry for entry in entries if entry["state_changing"]), None)
-        if first is None or exercise(at).done([first], asked):
-            break
-        # Something else that the adapter had to tell came first, and the log was read then.
-        await answers_again(run, at)
-    else:
-        return
-    arrived = bool(nothing_arrived(at, entries, requirement="AUD-003"))
-    records = records_of(lines, audit["fields"])
-    if arrived and not _of_tool(records, reply.tool):
-        what = "when its request had reached the device, the audit log had no record of it"
-        run.witnessed([_finding(reply, "audited_too_late", what, "AUD-003", records)])
-    await answers_again(run, at)
+    await at.device.fault(*faulty(exercise(at).changing or exercise(at).writes, **silence(at)))
+    reply = await at.call_and_cancel(
+        asked.operation, seen={"state_changing": True}, timeout_s=_SEEN_S, meanwhile=look, **asked.inputs
+    )
+    await at.device.fault()
+    # On a busy machine the request may arrive after the log was read.
+    soon = reply.exchange.sent_ns + int(_SEEN_S * 1e9 / 2)
+    return reply, [entry for entry in since(reply, await at.journal()) if entry["t_ns"] <= soon], lines
+
+
+async def _tells_something_of_itself(at: Rig) -> bool:
+    """Watch an adapter that nobody calls; return whether it tells the device anything that may change the plant, such as a status."""
+    before = len(await at.journal())
+    await at.watch(QUIET_S)
+    return bool(state_changing((await at.journal())[before:]))

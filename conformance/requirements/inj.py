@@ -54,7 +54,7 @@ def _places(run: Repetition, at: Rig, name: str) -> list[DeviceText]:
     provable = can_prove(run, at)
     places = [place for place in _offered(at, name) if provable or not _writes(at, place)]
     if not places:
-        run.not_applicable("the adapter has no operation that returns a text of the device")
+        run.not_applicable("no operation that the subject file binds returns a text of the device")
     return sorted(places, key=lambda place: _writes(at, place))
 
 

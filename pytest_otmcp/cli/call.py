@@ -62,7 +62,9 @@ def add_parser(subparsers: Any) -> None:
     )
     add_option(parser)
     parser.add_argument(
-        "operation", metavar="OPERATION", help="an operation of the protocol, such as read, or a named command or reading"
+        "operation",
+        metavar="OPERATION",
+        help="an operation of the protocol, such as read, or a named command or reading",
     )
     parser.add_argument("inputs", metavar="KEY=VALUE", nargs="*", help="its inputs")
     add_json(parser)

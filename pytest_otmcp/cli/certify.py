@@ -31,7 +31,10 @@ from .isolated import add_option
 __all__ = ["add_parser", "interruptible", "run", "run_suite"]
 
 _DEFAULT_OUT = Path("reports", "certificate")
-_OURS = ("run.json", "certificate.json", "certificate.json.sig", "certificate.html", "badge.json", "badge.svg")
+_OURS = (
+    *("run.json", "certificate.json", "certificate.json.sig", "certificate.html", "badge.json", "badge.svg"),
+    *("report.html", "summary.md", "verdict.json"),
+)
 """Files of an earlier certification, which must not be there when this one fails."""
 
 _BENDING = ("PYTHONOPTIMIZE", "PYTHONWARNINGS", "PYTHONSTARTUP", "PYTHONINSPECT")
@@ -95,11 +98,11 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--challenge: expected {NONCE}, found {args.challenge[:40]!a}")
     if args.reps < MINIMUM_REPS:
         raise UsageError(f"--reps: a certificate needs at least {MINIMUM_REPS} repetitions, found {args.reps}")
-    file = _subject_file(args.subject)
-    subject = reference_subject() if file is None else load_subject(file)
     out: Path = args.out.absolute()
     for name in _OURS:
         (out / name).unlink(missing_ok=True)
+    file = _subject_file(args.subject)
+    subject = reference_subject() if file is None else load_subject(file)
     if subject.deviations:
         known = ", ".join(deviation.item for deviation in subject.deviations)
         raise Refusal(
