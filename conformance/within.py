@@ -25,6 +25,8 @@ _DRAWS = 5000
 """Calls that are made at random to find one within the bounds: of 65536 values a hundred may be allowed."""
 _DRAWS_OF_MANY = 500
 
+_MANY = 100
+"""Values that a reading has to tell apart, where there is one, to stand for reads in general."""
 _WAITS_S = 1
 """Seconds that a call may wait for a message, which comes a tenth of a second after it has subscribed."""
 
@@ -146,13 +148,22 @@ def _by_reading(at: Rig, exercise: Exercise) -> Exercise:
     if at.subject.claims(exercise.reading) and not at.by_command_alone(exercise.reading):
         return found
     # Of many values no two are likely to be the same.
-    operation, most = max(readings, key=lambda one: one[1].holds.count if one[1].holds else 0)
-    shown = asked_of(at.protocol, operation, most.examples()[0], most.held(random.Random(0)))
+    telling = [one for one in readings if one[1].values_held >= _MANY] or readings
+    shown = [asked_of(at.protocol, name, one.examples()[0], one.held(random.Random(0))) for name, one in telling]
+    conditions = [one.condition for one in shown if one.operation != exercise.reading]
+
+    def read(rng: random.Random) -> Asked:
+        operation, one = rng.choice(telling)
+        return asked_of(at.protocol, operation, one.drawn(rng), one.held(rng))
+
     return replace(
         found,
-        reading=operation,
-        read=lambda rng: asked_of(at.protocol, operation, most.drawn(rng), most.held(rng)),
-        reads=exercise.reads if operation == exercise.reading else (shown.condition,),
+        reading=telling[0][0],
+        read=read,
+        reads=(
+            *(exercise.reads if len(conditions) < len(shown) else ()),
+            *(rule for place, rule in enumerate(conditions) if rule not in conditions[:place]),
+        ),
     )
 
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
+from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.check import Checks
-from pytest_otmcp.trial.named_readings import asked_of
+from pytest_otmcp.trial.named_readings import asked_of, place_of
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Command, Rig
 
@@ -17,43 +21,51 @@ __all__ = ["TASKS"]
 
 TASKS = Checks()
 
-_DRAWN = 3
-"""Calls of each reading with arguments that are drawn at random."""
+_DRAWN = 30
+"""Calls of each reading with arguments and values that are drawn at random."""
+_OTHER_NUMBERS = 50
+"""Numbers among which there is one that no word stands for."""
 
 
 @TASKS.every_protocol("RD-008", "A named reading tells what the device holds.", reads=False, facets="readings")
 async def readings_tell_what_the_device_holds(run: Repetition, at: Rig) -> None:
-    """Call every named reading with every value of a list, with the ends of a range, and with values drawn at random, while each place that it
-    can read holds another value; once more while it holds the lowest, and the highest, that it may hold. Call it while the device refuses
-    every read. Give an argument that takes a few words one of them between other letters.
+    """Call every named reading with every value of a list, and with the ends of a range, while each place that it can read holds another value;
+    while it holds the lowest, and the highest, that it may hold; and many times with values drawn at random, some of them near zero. Call it while
+    the device refuses every read; while a floating-point number is none; and while a number is held that no word of the subject file stands for.
+    Give an argument that takes a few words one that stands for nothing, and one of them between other letters. Call each reading while the
+    device is away.
 
-    Said: what the device holds, by the meaning that the subject file states; a failure of what the device has refused, and of a word that
-        stands for nothing.
-    Seen: the device answers at least one request during each call.
+    Said: what the device holds, by the meaning that the subject file states; a failure of what the device has refused, of a word that stands
+        for nothing, and while the device is away. What is no number is not told as one, and a number without a word not by a known word.
+    Seen: the device answers at least one request during each call that succeeds.
     Why: an assistant knows a sensor or a tank by its name alone, and cannot see which register that is, nor its scale.
     """
-    for operation, reading in at.readings():
-        every = _every(run, at, operation, reading)
-        if not every:
-            continue
-        for asked in every:
+    every = [(operation, reading, _every(run, at, operation, reading)) for operation, reading in at.readings()]
+    called = [(operation, reading, asked) for operation, reading, asked in every if asked]
+    for operation, reading, places in called:
+        for asked in places:
             await _set(at, asked)
-        for asked in every:
+        for asked in places:
             await _tells(run, at, asked)
-        for asked in (asked_of(at.protocol, operation, every[0].inputs, end) for end in reading.held_at_most()):
-            await _set(at, asked)
-            await _tells(run, at, asked)
-        await _refused(run, at, every[0])
+        inputs = places[0].inputs
+        drawn = [(reading.drawn(run.rng), reading.held(run.rng)) for _ in range(_DRAWN)]
+        for given, value in [*((inputs, end) for end in reading.held_at_most()), *drawn]:
+            asked = asked_of(at.protocol, operation, given, value)
+            if allowed(at, asked):
+                await _set(at, asked)
+                await _tells(run, at, asked)
+        await _refused(run, at, places[0])
+        await _told_as_nothing_known(run, at, operation, places[0])
         for name in reading.words():
-            await _no_such_word(run, at, every[0], reading, name)
+            await _no_such_word(run, at, places[0], reading, name)
+    if called and at.subject.claims("recovery") and at.subject.reconnects:
+        await _away(run, at, [places[0] for _, _, places in called])
 
 
 def _every(run: Repetition, at: Rig, operation: str, reading: Command) -> list[Asked]:
     """Return calls that read different places, as far as the schema of the tool allows them."""
-    inputs = [*reading.examples(), *(reading.drawn(run.rng) for _ in range(_DRAWN))]
-    asked = [asked_of(at.protocol, operation, one, reading.held(run.rng)) for one in inputs]
-    places = {str(one.inputs): one for one in asked if allowed(at, one)}
-    return list(places.values())
+    asked = [asked_of(at.protocol, operation, one, reading.held(run.rng)) for one in reading.examples()]
+    return [one for one in asked if allowed(at, one)]
 
 
 async def _set(at: Rig, asked: Asked) -> None:
@@ -75,11 +87,44 @@ async def _refused(run: Repetition, at: Rig, asked: Asked) -> None:
         expect_failure(run, reply, requirement="RD-008")
 
 
+async def _told_as_nothing_known(run: Repetition, at: Rig, operation: str, asked: Asked) -> None:
+    """Set what has no meaning by the subject file, and expect that it is not told as what has one."""
+    held = place_of(at.protocol, operation, asked.inputs).kind
+    words = at.words_of(operation, **asked.inputs)
+    strange: list[object] = [math.nan, math.inf] if not held.is_whole and held.form in ("f", "d") else []
+    if words and held.is_whole:
+        strange = [next(number for number in range(_OTHER_NUMBERS) if number not in words)]
+    for value in strange:
+        unknown = asked_of(at.protocol, operation, asked.inputs, value)
+        await _set(at, unknown)
+        reply = await at.call(operation, **asked.inputs)
+        (found,) = (reply.outputs.get(name) for name in unknown.outputs)
+        told = found[0] if isinstance(found, list) and found else found
+        if reply.success and (told in words if words else isinstance(told, int | float)):
+            said = f"while the device held {value!r}, which has no meaning, the reply means that it holds {told!r}"
+            finding = Finding(code="wrong_value", message=f"{reply.label}: {said}", requirement="RD-008")
+            run.judge(reply, [finding])
+    await _set(at, asked)
+
+
 async def _no_such_word(run: Repetition, at: Rig, asked: Asked, reading: Command, name: str) -> None:
-    """Give an argument a known word between other letters, and expect that it is not taken for that word."""
+    """Give an argument a word that stands for nothing, and a known word between other letters, and expect that none is taken for a known one."""
     argument, values = at.argument_drawn(asked.operation, name, **asked.inputs), reading.arguments(asked.inputs)
     if argument is None or values is None:
         return
-    for word in (f"{values[name]} {letters(run)}", f"{letters(run)} {values[name]}"):
+    for word in (letters(run), f"{values[name]} {letters(run)}", f"{letters(run)} {values[name]}"):
         reply = await at.call_altered(asked.operation, Alteration(given={argument: word}), **asked.inputs)
         expect_failure(run, reply, requirement="RD-008")
+
+
+async def _away(run: Repetition, at: Rig, asked: Sequence[Asked]) -> None:
+    """Expect that no reading tells anything while the device is away, and that one does when it is back."""
+    await at.stop_device()
+    await at.call_until_failure(asked[0].operation, window_s=1.0, **asked[0].inputs)
+    for one in asked:
+        expect_failure(run, await at.call(one.operation, **one.inputs), requirement="RD-008")
+    await at.start_device()
+    await _set(at, asked[0])
+    window_s = at.subject.recovery_s
+    replies = await at.call_until_success(asked[0].operation, window_s=window_s, **asked[0].inputs)
+    run.succeeds(replies[-1], requirement="REC-001")

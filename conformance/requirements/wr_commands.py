@@ -31,7 +31,7 @@ _DRAWN = 5
 async def commands_have_their_effect(run: Repetition, at: Rig) -> None:
     """Call every named command with every value of a list, with the ends of a range, and with values drawn at random. Call each again with
     the same values, after somebody else has changed what it did. Call one of several effects while the device refuses every write, if it can.
-    Give an argument that takes a few words one of them between other letters.
+    Give an argument that takes a few words one that stands for nothing, and one of them between other letters.
 
     Said: success; a failure of what the device has refused, and of a word that stands for nothing.
     Seen: one request for each call, with the effect that the subject file states, or one for each of its effects, in their order; where the
@@ -93,7 +93,7 @@ def _is_text(command: Command, name: str) -> bool:
 
 
 async def _no_such_word(run: Repetition, at: Rig, operation: str, command: Command, name: str) -> None:
-    """Give an argument a known word between other letters, and expect that it is not taken for any known one."""
+    """Give an argument a word that stands for nothing, and a known word between other letters, and expect that none is taken for a known one."""
     inputs = command.drawn(run.rng)
     argument, values = at.argument_drawn(operation, name, **inputs), command.arguments(inputs)
     if argument is None or values is None or not allowed(at, commanding(at, exercise(at), operation, inputs)):
@@ -102,7 +102,7 @@ async def _no_such_word(run: Repetition, at: Rig, operation: str, command: Comma
         commanding(at, exercise(at), operation, command.effect_of({**values, name: word}))
         for word in command.draws[name].values
     ]
-    for word in (f"{values[name]} {letters(run)}", f"{letters(run)} {values[name]}"):
+    for word in (letters(run), f"{values[name]} {letters(run)}", f"{letters(run)} {values[name]}"):
         await at.prove()
         reply = await at.call_altered(operation, Alteration(given={argument: word}), **inputs)
         entries = reply.during(await at.journal())

@@ -23,7 +23,7 @@ from ..core.walls import missing, stood
 from ..protocols.external import external_devices
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, Environment, Item, Run, Settings, Tested
-from ..record.tool_calls import never_called
+from ..record.tool_calls import judged, never_called
 from ..record.unread import unread_replies
 from ..record.warnings import warnings
 from ..subject.claims import Claims
@@ -190,9 +190,40 @@ def _adapter(
         "recovered_within_s": slowest_recovery_s(protocol, run["items"]),
         "call_limit": facts.get("call_limit"),
         "cached_s": facts["cached"],
+        "tools_judged": judged(facts),
         "tools_never_called": never_called(facts),
+        "vocabulary": list(_vocabulary(facts)),
         "facets": {"earned": earned, "claimed_not_exercised": not_exercised, "not_claimed": not_claimed},
     }
+
+
+def _vocabulary(facts: AdapterFacts) -> Iterator[dict[str, object]]:
+    """Yield what names of the adapter's own mean, as the subject file states it: nothing else was asked for, and nothing else is shown."""
+    for operation, cases in facts["bindings"].items():
+        for case in cases or ():
+            command = case.get("command")
+            if command is None:
+                continue
+            effects = [{"operation": operation, "inputs": command["effect"]}]
+            effects += [{"operation": one["operation"], "inputs": one["effect"]} for one in command.get("then", ())]
+            holds = command.get("holds")
+            said = {name: rule.get("means") for name, rule in case["outputs"].items()}
+            yield {
+                "name": command["name"],
+                "tool": case["tool"],
+                "arguments": {name: _values(draw) for name, draw in command["draws"].items()},
+                "asks": effects,
+                **({} if holds is None else {"holds": _values(holds), "means": next(iter(said.values()), None)}),
+            }
+
+
+def _values(draw: Mapping[str, Any]) -> object:
+    """Return values, each with what it means at the device where it is another, or a range."""
+    if not draw["values"]:
+        return {name: draw[name] for name in ("lowest", "highest", "step")}
+    if not draw["means"]:
+        return [*draw["values"]]
+    return [{"value": value, "means": meaning} for value, meaning in zip(draw["values"], draw["means"], strict=True)]
 
 
 def _not_judged(facts: AdapterFacts) -> Iterator[str]:

@@ -21,6 +21,7 @@ from ..record.schema import Run
 from ..replay.rejudge import depends_on_seed
 from ..report.certificate_page import certificate_page
 from ..report.html import page
+from ..report.markdown import summary
 from ..suite.catalogue import tasks_by_id
 from . import Refusal, show, tell
 
@@ -103,6 +104,7 @@ def write_pages(out: Path, record: Run, statement: dict[str, Any], *, signed: bo
     pages = {
         "certificate.html": certificate_page(statement, sha256, signed=signed),
         "report.html": page(record, certificate="certificate.html"),
+        "summary.md": summary(record, certified=True),
     }
     for name, text in pages.items():
         (out / name).unlink(missing_ok=True)

@@ -36,7 +36,10 @@ __all__ = [
     "judge_deviations",
 ]
 
-INEXPRESSIBLE = ("no named reading of the subject can express", "no named command of the subject can express")
+INEXPRESSIBLE = (
+    "the subject reads by named readings alone, and the item asks for",
+    "no named command of the subject can express",
+)
 """Beginnings of the reason for which an item does not apply that asks for a read, or for a write, which only other adapters can make."""
 
 UNBOUND = "no binding of the subject is for"

@@ -462,7 +462,7 @@ def _reading(draft: Draft, name: str, reading: Reading, form: str) -> list[str]:
         if not reading.step
         else [
             "# The answers are rounded, so that only values so far apart can be told from one another.",
-            f"holds = {_value({'lowest': 0, 'highest': int(reading.step * (30000 // reading.step)), 'step': reading.step})}",
+            f"holds = {_value(_grid(reading))}",
         ]
     )
     return [
@@ -477,6 +477,12 @@ def _reading(draft: Draft, name: str, reading: Reading, form: str) -> list[str]:
         *rounded,
         *beyond,
     ]
+
+
+def _grid(reading: Reading) -> dict[str, int]:
+    lowest, highest = reading.bounds or (0, 0)
+    step = int(reading.step)
+    return {"lowest": -(-lowest // step) * step, "highest": highest // step * step, "step": step}
 
 
 def _command(draft: Draft, name: str, effect: Effect, form: str) -> list[str]:

@@ -5,6 +5,7 @@ Everything that such a tool reads is set at random, several times; a value of th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
@@ -35,8 +36,12 @@ _STATES, _CELLS = 8, 4
 """So many small numbers may each be a state, in at most so many cells that a call reads."""
 _ENOUGH = 4
 """Samples that have to agree."""
-_STEPS = (1, 2, 5, 10, 20, 50, 100)
+_STEPS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """What answers may be rounded to, in the device's own terms."""
+_APART = 20
+"""Steps that the values of a line are apart at least."""
+_WELL = 0.8
+"""Part of half a step within which a line has to be."""
 _EXACT = 1e-6
 
 Source = tuple[str, Mapping[str, Any]]
@@ -58,6 +63,7 @@ class Reading:
         step: answers are rounded to so much of what the device holds; 0 where they are not.
         samples: so many answers show it.
         otherwise: a value of the device at which the answer did not follow; None where there was none.
+        bounds: the lowest and the highest whole number that the place can hold; None where it holds no whole numbers.
         good: an answer.
     """
 
@@ -71,7 +77,13 @@ class Reading:
     step: float
     samples: int
     otherwise: object
+    bounds: tuple[int, int] | None
     good: Mapping[str, object]
+
+    @property
+    def tells_numbers(self) -> bool:
+        """Whether so many values can be told apart that nobody guesses them."""
+        return self.bounds is not None and (self.means is None or isinstance(self.means, str))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,12 +122,8 @@ async def look_for_readings(
         }
 
         async def proves() -> str | None:
-            telling = [
-                reading
-                for reading in await _at(experimenter, pack, tool, given)
-                if reading.means is None or isinstance(reading.means, str)
-            ]
-            return telling[0].source[0] if telling else None
+            found = await _at(experimenter, pack, one.tool, given)
+            return next((reading.source[0] for reading in found if reading.tells_numbers), None)
 
         return proves
 
@@ -126,8 +134,7 @@ async def look_for_readings(
             name = tool if len(readings) == 1 else f"{tool} {fixed or one.rule.get('path', place)}"
             name = f"{name} {place}" if name in found else name
             found[name] = one
-            if not isinstance(one.means, Mapping):
-                # Of a number so many random bits have come through that nobody has guessed it.
+            if one.tells_numbers:
                 experimenter.proofs.append(again(one))
             say(f"  {name:<15} (a reading, proven: {one.samples} answers followed what the device held)")
     return found
@@ -198,6 +205,10 @@ async def _at(experimenter: Experimenter, pack: Pack, tool: str, arguments: Mapp
     known = protocols()[pack.protocol].places
     points = [(source, place) for source in sources if (place := known[source[0]](source[1])) is not None]
     found = await _following(experimenter, tool, arguments, points) if points else []
+    for group in _alike_and_apart(points):
+        # Registers at random are no floating-point numbers that anybody measures.
+        further = await _following(experimenter, tool, arguments, group)
+        found += [one for one in further if not any(one.rule == other.rule for other in found)]
     seen = {str(one.source) for one in found}
     cells = [(source, point) for source, point in _apart(points) if point.kind.is_whole and str(source) not in seen]
     for source, point in cells if len(cells) <= _CELLS else ():
@@ -233,7 +244,18 @@ async def _following(
         source, fit = min(fits, key=lambda one: (one[1].otherwise is not None, one[1].step, one[1].error > _EXACT))
         if not any(one.source == source for one in found):
             given: dict[str, Any] = {"form": form, "rule": rule, "samples": len(samples), "good": samples[0].message}
-            found.append(Reading(tool=tool, arguments=arguments, draws={}, source=source, **_of(fit), **given))
+            point = next(point for known, point in points if known == source)
+            found.append(
+                Reading(
+                    tool=tool,
+                    arguments=arguments,
+                    draws={},
+                    source=source,
+                    bounds=_bounds(point),
+                    **_of(fit),
+                    **given,
+                )
+            )
     return found
 
 
@@ -269,11 +291,17 @@ async def _by_number(
                     arguments=arguments,
                     draws={},
                     source=source,
+                    bounds=_bounds(point),
                     **_of(_Fit(means=words, otherwise=None)),
                     **given,
                 )
             ]
     return []
+
+
+def _bounds(point: Point) -> tuple[int, int] | None:
+    kind = point.kind
+    return (kind.lowest, kind.highest) if kind.is_whole else None if kind == BOOL else (0, 100)
 
 
 def _of(fit: _Fit) -> dict[str, Any]:
@@ -287,6 +315,22 @@ async def _asked_for(experimenter: Experimenter, pack: Pack, tool: str, argument
         return []
     every = [source for entry in shown.entries for source in pack.sources(entry)]
     return [source for place, source in enumerate(every) if source not in every[:place]]
+
+
+def _alike_and_apart(points: Sequence[tuple[Source, Point]]) -> list[list[tuple[Source, Point]]]:
+    """Return the places of floating-point numbers in several cells, in groups: of one type and order, and none shares a cell with another."""
+    left = [(source, point) for source, point in points if not point.kind.is_whole and len(point.held(1)) > 1]
+    groups: list[list[tuple[Source, Point]]] = []
+    while left:
+        form = _form(left[0][0])
+        group = [*_apart(one for one in left if _form(one[0]) == form)]
+        groups.append(group)
+        left = [one for one in left if one not in group]
+    return groups
+
+
+def _form(source: Source) -> str:
+    return repr([(name, value) for name, value in source[1].items() if not isinstance(value, int)])
 
 
 def _apart(points: Iterable[tuple[Source, Point]]) -> Iterator[tuple[Source, Point]]:
@@ -380,20 +424,30 @@ class _Line:
         return text if not self.offset else f"{text} {'+' if self.offset > 0 else '-'} {_plain(abs(self.offset))}"
 
 
+def _decimals(number: float) -> int:
+    return len(f"{number:.9f}".rstrip("0").partition(".")[2])
+
+
 def _line(pairs: Sequence[tuple[float, float]], is_whole: bool) -> _Line | None:
     """Return the plainest line that is about as near as the nearest."""
     (low, said_low), (high, said_high) = min(pairs), max(pairs)
-    if said_low == said_high:
+    if said_low == said_high or not math.isfinite(high - low):
         return None
     scale = (high - low) / (said_high - said_low)
-    for step in _STEPS if is_whole else (0.5,):
+    # An answer may be half of its last decimal off. Values that are all nearly the same lie on any line.
+    rounded = abs(scale) * 10.0 ** -max(_decimals(said) for _, said in pairs)
+    least = 2 * rounded if rounded > 1 + _EXACT and is_whole else 0
+    for step in (one for one in (_STEPS if is_whole else (0.5,)) if least <= one <= (high - low) / _APART):
         lines = [
             _Line(scale=round(scale, digits), offset=offset, step=step)
             for digits in range(10)
             for offset in (0.0, round(low - scale * said_low, digits))
         ]
         near = {line: max(line.error(*pair) for pair in pairs) for line in lines if line.scale}
-        good = [line for line, error in near.items() if error < step / 2 and error <= 1.1 * min(near.values()) + _EXACT]
+        well = _WELL * step / 2
+        good = [
+            line for line, error in near.items() if error < well and error <= max(1.1 * min(near.values()), 0.8 * well)
+        ]
         if good:
             return good[0]
     return None

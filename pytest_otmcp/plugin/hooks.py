@@ -542,6 +542,9 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         limit = config.getoption("maxfail", 0)
         if limit and session.testsfailed >= limit and recorder.missing:
             interference.note(f"the run ended at failure number {limit} (-x or --maxfail)")
+            if exitstatus == pytest.ExitCode.INTERRUPTED and (endings is None or endings.name is None):
+                # So pytest-xdist ends such a run, which nobody has interrupted.
+                exitstatus = pytest.ExitCode.TESTS_FAILED
         if endings is not None and endings.name is not None:
             _take_from_workers(config, recorder, list(endings.workers.values()))
         # Whoever interrupts early is gone before there are any.

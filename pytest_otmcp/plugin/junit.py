@@ -46,19 +46,21 @@ class JUnitFile:
         if file is None:
             return
         sentence = excinfo.value.msg if isinstance(excinfo.value, pytest.exit.Exception) else "interrupted"
-        reporter = file.node_reporter("otmcp")
-        reporter.attrs.update(classname="otmcp", name="run")
-        reporter._add_simple("error", one_line(sentence), "")
+        _add_error(file, sentence)
 
 
 def tell_junit(config: pytest.Config, recorder: RunRecorder) -> None:
     """Give a JUnit file the verdict, the levels and the counts."""
     file = config.stash.get(xml_key, None)
-    if file is None or not recorder.statuses:
+    if file is None:
+        return
+    if not recorder.statuses:
+        _add_error(file, f"{recorder.verdict}: no item of the suite ran")
         return
     from ..record.condensed import condensed
     from ..record.reader import open_record
     from ..report.limits import narrowed
+    from ..report.overview import deviations
     from ..report.verdict_file import properties
 
     with open_record(recorder.path, allow_incomplete=True) as stored:
@@ -66,11 +68,20 @@ def tell_junit(config: pytest.Config, recorder: RunRecorder) -> None:
     for name, value in properties(run).items():
         file.add_global_property(name, value)
     _excuse(file, run)
-    if recorder.exit_code and not recorder.failures and not any(str(key[0]) == "otmcp" for key in file.node_reporters):
-        reporter = file.node_reporter("otmcp")
-        reporter.attrs.update(classname="otmcp", name="run")
-        reasons = narrowed(run) or ["a known deviation is out of date; the terminal names it"]
-        reporter._add_simple("error", one_line(f"{recorder.verdict}: {' '.join(reasons)}"), "")
+    if recorder.exit_code and not recorder.failures:
+        outdated = [
+            f"known deviation {one.item}: {one.state}." for one in deviations(run) if one.kind in ("stale", "expired")
+        ]
+        _add_error(file, f"{recorder.verdict}: {' '.join([*outdated, *narrowed(run)])}")
+
+
+def _add_error(file: LogXML, sentence: str) -> None:
+    """Have the run as a whole as an error, unless it is one already."""
+    if any(str(key[0]) == "otmcp" for key in file.node_reporters):
+        return
+    reporter = file.node_reporter("otmcp")
+    reporter.attrs.update(classname="otmcp", name="run")
+    reporter._add_simple("error", one_line(sentence), "")
 
 
 def _excuse(file: LogXML, run: Mapping[str, Any]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from .schema import AdapterFacts
 
-__all__ = ["added", "never_called"]
+__all__ = ["added", "judged", "never_called"]
 
 
 def added(parts: Iterable[AdapterFacts]) -> dict[str, int]:
@@ -16,6 +16,11 @@ def added(parts: Iterable[AdapterFacts]) -> dict[str, int]:
     for facts in parts:
         calls.update(facts.get("calls", {}))
     return dict(sorted(calls.items()))
+
+
+def judged(facts: AdapterFacts) -> list[str]:
+    """Return the tools of an adapter that the run has called."""
+    return [tool for tool, times in facts.get("calls", {}).items() if times]
 
 
 def never_called(facts: AdapterFacts) -> list[str]:

@@ -5,6 +5,7 @@ Programs judge ``certificate.json``; this page repeats it on a sheet of paper, a
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -14,7 +15,7 @@ from ..protocols.protocol import FACETS
 from ..protocols.registry import protocols
 from ..suite.requirements import Level
 from .page import filled
-from .permission import not_covered, permitted
+from .permission import covered, not_covered, permitted
 from .text import calls_made
 
 __all__ = ["certificate_page"]
@@ -47,6 +48,11 @@ def certificate_page(certificate: Mapping[str, Any], sha256: str, *, signed: boo
             (protocols()[protocol].name, list(facts["facets"]["earned"]))
             for protocol, facts in told["adapters"].items()
         ],
+        vocabulary=[
+            (protocols()[protocol].name, one["name"], _stated(one))
+            for protocol, facts in told["adapters"].items()
+            for one in facts["vocabulary"]
+        ],
         warnings=told["warnings"],
         not_tested=list(_not_tested(told)),
         limits=told["limits"],
@@ -69,6 +75,11 @@ def _levels(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             "passed": [
                 *(_passed(protocol, told) for protocol in earning),
                 *(
+                    f"{about}."
+                    for tools in [[tool for one in earning for tool in told["adapters"][one]["tools_judged"]]]
+                    if (about := covered(tools))
+                ),
+                *(
                     f"{without}: {', '.join(tools)}."
                     for tools in [[tool for one in earning for tool in told["adapters"][one]["tools_never_called"]]]
                     if (without := not_covered(tools))
@@ -84,6 +95,36 @@ def _passed(protocol: str, told: Mapping[str, Any]) -> str:
     server = " ".join(filter(None, (facts["server"]["name"], facts["server"]["version"])))
     called = f"; it calls itself {server}" if server else ""
     return f"It passed {count['passed']} of {count['of']} {name} items{below}, every call within {facts['deadline_s']:g} s{called}."
+
+
+def _stated(named: Mapping[str, Any]) -> str:
+    """Say what a name means, as the vendor states it, and with which values it was tested."""
+    asks = ", then ".join(
+        f"{one['operation']} {' '.join(f'{name}={_shown(value)}' for name, value in one['inputs'].items())}"
+        for one in named["asks"]
+    )
+    parts = [*([f"the tool {named['tool']}"] if named["tool"] != named["name"] else []), asks]
+    parts += [f"${name} {_range(values)}" for name, values in named["arguments"].items()]
+    if "holds" in named:
+        means = named["means"]
+        if means is not None:
+            parts.append(f"what it tells means {means if isinstance(means, str) else _shown(means)}")
+        parts.append(f"tested while the device held {_range(named['holds'])}")
+    return "; ".join(parts)
+
+
+def _range(values: Any) -> str:
+    if isinstance(values, dict):
+        step = "" if values["step"] == 1 else f" by {values['step']:g}"
+        return f"{values['lowest']:g} to {values['highest']:g}{step}"
+    told = [
+        f"{_shown(one['value'])} ({_shown(one['means'])})" if isinstance(one, dict) else _shown(one) for one in values
+    ]
+    return ", ".join(told)
+
+
+def _shown(value: object) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
 def _not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:

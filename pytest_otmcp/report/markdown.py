@@ -68,8 +68,12 @@ def write_markdown(run: Run, path: Path) -> None:
     path.write_text(summary(run), encoding="utf-8", newline="\n")
 
 
-def summary(run: Run) -> str:
-    """Return the summary of a run as Markdown."""
+def summary(run: Run, *, certified: bool = False) -> str:
+    """Return the summary of a run as Markdown.
+
+    Args:
+        certified: the run has earned a certificate.
+    """
     footer, items = run["footer"], run["items"]
     good, planned = tally(items)
     verdict = footer.get("verdict", "INCOMPLETE")
@@ -83,7 +87,7 @@ def summary(run: Run) -> str:
         *(f"- warning: {code(said(one))}" for one in warnings(items)),
         *(f"- level: {escape(told)}" for told in _levels(run)),
         *(f"- deadlines of a call: {escape(told)}" for told in [deadlines(run)] if told),
-        f"- {escape(permission(run))}",
+        f"- {escape(permission(run, certified=certified))}",
         *(["- A partial pass: see what was earned, and the lines below."] if partial(run) else []),
         *(f"- {escape(reason)}" for reason in narrowed(run)),
         *(f"- Note: {escape(sentence)}." for sentence in strangers(run)),

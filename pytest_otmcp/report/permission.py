@@ -8,13 +8,15 @@ from collections.abc import Collection
 from ..core.text import counted
 from ..core.verdict import Verdict
 from ..protocols.registry import protocols
-from ..record.tool_calls import never_called
+from ..record.tool_calls import judged, never_called
 from ..suite.levels import standings
 from ..suite.requirements import Level, catalogue
 from . import Run
 
-__all__ = ["not_covered", "permission", "permitted"]
+__all__ = ["covered", "not_covered", "permission", "permitted"]
 
+_NAMED = 20
+"""Tools that a sentence names."""
 _NONE = "No permission to connect follows"
 
 
@@ -29,6 +31,13 @@ def not_covered(tools: Collection[str]) -> str:
     if not tools:
         return ""
     return f"Not covered: {counted(len(tools), 'tool')} that no item judged; give an assistant none of them"
+
+
+def covered(tools: Collection[str]) -> str:
+    """Name the tools that a level is about."""
+    shown = [*tools][:_NAMED]
+    more = f" and {len(tools) - len(shown)} more" if len(tools) > len(shown) else ""
+    return f"It covers {counted(len(tools), 'tool')}: {', '.join(shown)}{more}" if tools else ""
 
 
 def permission(run: Run, *, certified: bool = False) -> str:
@@ -48,6 +57,8 @@ def permission(run: Run, *, certified: bool = False) -> str:
         return f"{_NONE} from a run that is not conformant, whichever level's rules were kept."
     told = [f"{', '.join(names)}: {permitted(level)}." for level, names in by_level.items()]
     told += [f"{protocols()[one.protocol].name}: {_NONE.lower()}." for one in found if one.level is None]
-    tools = [tool for facts in run["subject"]["adapters"].values() for tool in never_called(facts)]
-    told += [f"{without}." for without in [not_covered(tools)] if without]
+    adapters = run["subject"]["adapters"].values()
+    about = covered([tool for facts in adapters for tool in judged(facts)])
+    without = not_covered([tool for facts in adapters for tool in never_called(facts)])
+    told += [f"{sentence}." for sentence in (about, without) if sentence]
     return " ".join([*told, *([] if certified else ["This report is no certificate: ask for one before you connect."])])

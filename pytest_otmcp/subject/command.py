@@ -43,6 +43,8 @@ _SMALLEST = 1e-9
 _DIGITS = 9
 """Decimal places of a number that is drawn or scaled: 0.1 * 3 is 0.3."""
 _MOST_EXAMPLES = 64
+_NEAR = 20
+"""Steps from zero that are near to it."""
 LARGEST = 2.0**53
 """Whole numbers beyond it are not the same number to every reader of JSON (RFC 8259, section 6)."""
 
@@ -146,9 +148,21 @@ class Command:
         return self._inputs({name: rng.randrange(draw.count) for name, draw in self.draws.items()})
 
     def held(self, rng: random.Random) -> Any:
-        """Return a value that the device may hold where a reading looks, drawn at random."""
+        """Return a value that the device may hold where a reading looks, drawn at random: of a range any, one near zero, or one of any
+        magnitude, so that not nearly all are large."""
         assert self.holds is not None
-        return self.holds.value(rng.randrange(self.holds.count))
+        index = rng.randrange(self.holds.count)
+        zero = round(-self.holds.lowest / self.holds.step) if not self.holds.values else -1
+        if 0 <= zero < self.holds.count and self.holds.count > _NEAR and (way := rng.randrange(3)):
+            distance = rng.randrange(_NEAR) if way == 1 else int(self.holds.count ** rng.random()) - 1
+            index = min(max(zero + rng.choice((-1, 1)) * distance, 0), self.holds.count - 1)
+        return self.holds.value(index)
+
+    @property
+    def values_held(self) -> int:
+        """The number of values that the device may hold where a reading looks."""
+        assert self.holds is not None
+        return self.holds.count
 
     def held_at_most(self) -> tuple[Any, Any]:
         """Return the first and the last value that the device may hold where a reading looks."""

@@ -34,7 +34,8 @@ def succeeded(reply: Reply, *, requirement: str | None = None, **outputs: object
         requirement: id of the requirement that the call breaks otherwise; None is that of the operation.
         outputs: the outputs, by name.
     """
-    requirement = requirement or protocols()[reply.adapter].operations[reply.operation].requirement
+    of_operation = protocols()[reply.adapter].operations[reply.operation].requirement
+    requirement = requirement or ("RD-008" if reply.meaning else of_operation)
     if reply.success is False and _is_own_limit(reply):
         return [
             Finding(

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from ..protocols.exercise import READING, Asked
 from ..protocols.point import Point, restoring
 from ..protocols.proof import Call, Proof, Way
 from ..protocols.registry import protocols
-from ..subject.command import Command
+from ..subject.command import Command, Draw
 
-__all__ = ["Readings", "asked_of", "with_readings"]
+__all__ = ["Readings", "asked_of", "place_of", "with_readings"]
 
 Readings = Sequence[tuple[str, Command]]
 """Named readings, each with the operation that it performs."""
@@ -25,7 +27,7 @@ def asked_of(protocol: str, operation: str, inputs: Mapping[str, Any], value: ob
     Args:
         inputs: of the operation, as the reading draws them.
     """
-    return _place(protocol, operation, inputs).read(value)
+    return place_of(protocol, operation, inputs).read(value)
 
 
 def with_readings(proof: Proof, protocol: str, readings: Readings) -> Proof:
@@ -34,8 +36,11 @@ def with_readings(proof: Proof, protocol: str, readings: Readings) -> Proof:
         return proof
     known = protocols()[protocol].operations
     ways = [_way(protocol, operation, reading) for operation, reading in readings]
-    calls = [Call(operation, reading.examples()[0]) for operation, reading in readings]
-    places = [_place(protocol, operation, inputs) for operation, reading in readings for inputs in reading.examples()]
+    of_operation: dict[str, list[Mapping[str, Any]]] = {}
+    for operation, reading in readings:
+        of_operation.setdefault(operation, []).extend(reading.examples())
+    calls = [_AnyOf(operation, examples[0], examples=tuple(examples)) for operation, examples in of_operation.items()]
+    places = [place_of(protocol, operation, inputs) for operation, reading in readings for inputs in reading.examples()]
     restore, further = proof.restore, restoring(*places)
     return replace(
         proof,
@@ -45,14 +50,34 @@ def with_readings(proof: Proof, protocol: str, readings: Readings) -> Proof:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _AnyOf(Call):
+    """A call by any of several readings, another one each time."""
+
+    examples: tuple[Mapping[str, Any], ...] = ()
+
+    def made(self, rng: random.Random) -> Mapping[str, Any]:
+        return rng.choice(self.examples)
+
+
 def _way(protocol: str, operation: str, reading: Command) -> Way:
-    assert reading.holds is not None
+    holds = reading.holds
+    assert holds is not None
     # The place is that of the first example: one is enough.
-    place = _place(protocol, operation, reading.examples()[0])
-    return place.way(reading.held, bits=max(1, math.floor(math.log2(reading.holds.count))))
+    place = place_of(protocol, operation, reading.examples()[0])
+    return place.way(partial(_any, holds), bits=max(1, math.floor(math.log2(holds.count))))
 
 
-def _place(protocol: str, operation: str, inputs: Mapping[str, Any]) -> Point:
+def _any(holds: Draw, rng: random.Random) -> Any:
+    return holds.value(rng.randrange(holds.count))
+
+
+def place_of(protocol: str, operation: str, inputs: Mapping[str, Any]) -> Point:
+    """Return the place at the mock that a reading with these inputs of the operation tells.
+
+    Raises:
+        ValueError: there is no such place.
+    """
     of_operation = {name: value for name, value in inputs.items() if name != READING}
     place = protocols()[protocol].places[operation](of_operation)
     if place is None:

@@ -264,6 +264,13 @@ class Rig(WriteGate):
         given = {} if binding is None else binding.arguments
         return next((name for name, value in given.items() if value == f"${part}"), None)
 
+    def words_of(self, operation: str, **inputs: object) -> list[Any]:
+        """Return what the words of a named reading mean at the device; none where its answers are no words."""
+        cases = self.bindings(operation)
+        binding = next((case for case in cases or () if case.fits(inputs)), None)
+        rules = () if binding is None else binding.outputs.values()
+        return [meant for rule in rules if isinstance(rule.means, Mapping) for meant in rule.means.values()]
+
     def tool_of(self, operation: str, **inputs: object) -> str | None:
         """Return the tool that performs an operation; None where it is not performed by one tool call."""
         cases = self.bindings(operation)

@@ -354,6 +354,7 @@ def test_tools_of_another_vocabulary_are_proposed_with_the_effect_that_the_devic
 PLANT = """
 import asyncio
 import os
+import struct
 from typing import Literal
 from mcp.server import MCPServer
 from pymodbus.client import AsyncModbusTcpClient
@@ -398,6 +399,12 @@ async def operating_mode() -> str:
     return ["off", "heating", "cooling"][mode]
 
 @server.tool()
+async def power() -> dict:
+    block = await held(70, 2)
+    (kilowatts,) = struct.unpack(">f", struct.pack(">HH", block[1], block[0]))
+    return {"kw": round(kilowatts, 2)}
+
+@server.tool()
 async def read_serial_number() -> str:
     await held(40, 6)
     return "4711"
@@ -416,6 +423,7 @@ def test_tools_that_read_under_names_of_their_own_are_proposed_with_the_place_th
         "read_temperature",
         "tank_level",
         "operating_mode",
+        "power",
         "overview bar",
         "overview flow",
         "overview kwh",
@@ -436,6 +444,8 @@ def test_tools_that_read_under_names_of_their_own_are_proposed_with_the_place_th
     assert found["overview kwh"][0] == "read_typed"
     assert found["overview kwh"][1].effect == {"address": 44, "type": "uint32", "byte_order": "CDAB"}
     assert (rules["overview bar"].means, rules["overview flow"].means) == ("$value * 100", None)
+    assert found["power"][0] == "read_typed"
+    assert found["power"][1].effect == {"address": 70, "type": "float32", "byte_order": "CDAB"}
     assert rules["operating_mode"].means == {"off": 0, "heating": 1, "cooling": 2}
     assert rules["pump_state"].means == {"running": True, "stopped": False}
     level = found["tank_level"][1].holds

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 from typing import Any
 
@@ -14,7 +15,7 @@ from asyncua import Client, ua
 from foreign import Failure, Result, Shape, prose, structured
 from foreign_modbus import endpoint, transact
 
-DEADLINE_S = 1.5
+DEADLINE_S = 1.0
 AT_ONCE = 4
 """Connections that it has at the same time."""
 MOST = 24
@@ -64,7 +65,7 @@ def opcua_brewery(lie: str | None, read_only: bool) -> Shape:
             return structured({"value": remembered[name]})
         try:
             value = make(await read(node))
-        except Failure as failure:
+        except (Failure, ArithmeticError) as failure:
             return structured({"error": str(failure)}, is_error=True)
         except (OSError, ua.UaError) as error:
             if lie == "the-last-one" and name in remembered:
@@ -81,6 +82,8 @@ def opcua_brewery(lie: str | None, read_only: bool) -> Shape:
         node = NODES["pressure" if lie == "one-for-another" and meant[0] == "level" else meant[0]]
 
         def value(held: float) -> float:
+            if not math.isfinite(held):
+                raise ArithmeticError("invalid: the sensor has no value")
             held = min(held, 60.0) if lie == "clamped" else held
             return round(held * 1.8 + 32, 1) if meant[0] == "temperature" else round(held, 2)
 

@@ -72,7 +72,6 @@ def test_what_differs_from_the_subject_file_is_a_finding(judge_foreign: Judge, d
 def test_what_a_reading_cannot_express_does_not_apply(judge_foreign: Judge) -> None:
     results = judge_foreign("modbus-tank", tasks="FM1 RD-001.modbus")
     assert {result["status"] for result in results.values()} == {"NOT_APPLICABLE"}, words(results)
-    assert (
-        results["FM1"]["reason"]
-        == "no named reading of the subject can express read_holding with address=9999, count=1"
+    assert results["FM1"]["reason"] == (
+        "the subject reads by named readings alone, and the item asks for read_holding with address=9999, count=1"
     )

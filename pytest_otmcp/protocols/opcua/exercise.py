@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ...core.strict_json import same_json
-from ..exercise import Asked, Contended, DeviceText, Exercise, Limited, Poke, every_change
+from ..exercise import Asked, Contended, DeviceText, Exercise, Limited, Poke, every_change, number_in_json
 from ..journal import JournalEntry
 from ..oracle import has
 from ..point import BOOL, FLOAT64, Point
@@ -29,7 +29,7 @@ def _node(name: str) -> Point:
         kind=BOOL if name in ("PumpEnabled", "AlarmActive") else FLOAT64,
         reading=Call("read", {"node": node}),
         writing=Call("write", {"node": node}),
-        pokes=lambda value: ({"node": name, "value": value},),
+        pokes=lambda value: ({"node": name, "value": number_in_json(value) if isinstance(value, float) else value},),
         held=lambda value: {node: value},
         found=lambda image: image["points"][node],
         condition={"node": node},
