@@ -31,12 +31,13 @@ _OTHER_NUMBERS = 50
 async def readings_tell_what_the_device_holds(run: Repetition, at: Rig) -> None:
     """Call every named reading with every value of a list, and with the ends of a range, while each place that it can read holds another value;
     while it holds the lowest, and the highest, that it may hold; and many times with values drawn at random, some of them near zero. Call it while
-    the device refuses every read; while a floating-point number is none; and while a number is held that no word of the subject file stands for.
+    the device refuses every read, or says that its value is bad; while a floating-point number is none; and while a number is held that no word
+    of the subject file stands for.
     Give an argument that takes a few words one that stands for nothing, and one of them between other letters. Call each reading while the
     device is away.
 
-    Said: what the device holds, by the meaning that the subject file states; a failure of what the device has refused, of a word that stands
-        for nothing, and while the device is away. What is no number is not told as one, and a number without a word not by a known word.
+    Said: what the device holds, by the meaning that the subject file states; a failure of what the device has refused or calls bad, of a
+        word that stands for nothing, and while the device is away. What is no number is not told as one, and a number without a word not by a known word.
     Seen: the device answers at least one request during each call that succeeds.
     Why: an assistant knows a sensor or a tank by its name alone, and cannot see which register that is, nor its scale.
     """
@@ -48,7 +49,7 @@ async def readings_tell_what_the_device_holds(run: Repetition, at: Rig) -> None:
         for asked in places:
             await _tells(run, at, asked)
         inputs = places[0].inputs
-        drawn = [(reading.drawn(run.rng), reading.held(run.rng)) for _ in range(_DRAWN)]
+        drawn = [(reading.drawn(run.rng), reading.held_anywhere(run.rng)) for _ in range(_DRAWN)]
         for given, value in [*((inputs, end) for end in reading.held_at_most()), *drawn]:
             asked = asked_of(at.protocol, operation, given, value)
             if allowed(at, asked):
@@ -89,7 +90,13 @@ async def _refused(run: Repetition, at: Rig, asked: Asked) -> None:
 
 async def _told_as_nothing_known(run: Repetition, at: Rig, operation: str, asked: Asked) -> None:
     """Set what has no meaning by the subject file, and expect that it is not told as what has one."""
-    held = place_of(at.protocol, operation, asked.inputs).kind
+    place = place_of(at.protocol, operation, asked.inputs)
+    if unsound := place.unsound(next(iter(asked.points.values()))):
+        for poke in unsound:
+            await at.device.poke(**poke)
+        expect_failure(run, await at.call(operation, **asked.inputs), requirement="RD-008")
+        await _set(at, asked)
+    held = place.kind
     words = at.words_of(operation, **asked.inputs)
     strange: list[object] = [math.nan, math.inf] if not held.is_whole and held.form in ("f", "d") else []
     if words and held.is_whole:

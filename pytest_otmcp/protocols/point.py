@@ -128,6 +128,7 @@ class Point:
     Attributes:
         kind: type of the value.
         pokes: returns what sets a value at the mock, past the protocol; nothing where it would not stay.
+        unsound: returns what sets a value of which the device says that it is not good; nothing where the protocol has no such thing.
         held: returns what the image holds then, by point.
         found: returns the value that an image holds.
         reading, writing: operation and inputs of a read and of a write; None where there is none.
@@ -139,6 +140,7 @@ class Point:
 
     kind: Kind
     pokes: Callable[[Any], tuple[Poke, ...]] = _no_pokes
+    unsound: Callable[[Any], tuple[Poke, ...]] = _no_pokes
     held: Callable[[Any], Mapping[str, object]] = _no_points
     found: Callable[[Image], Any] | None = None
     reading: Call | None = None

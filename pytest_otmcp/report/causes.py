@@ -102,6 +102,7 @@ def rows(cause: Cause) -> list[tuple[str, tuple[str, ...]]]:
     if (words := cause.words) is not None:
         more = (f"and {words.more_seen} more",) if words.more_seen else ()
         told = [("asked", (words.asked,)), ("the adapter said", (words.said,)), ("the device saw", words.seen + more)]
+        told += [("the device answered", (words.answered,))] if words.answered else []
     return [*told, *([("should have said", (cause.due,))] if cause.due else [])]
 
 

@@ -17,7 +17,7 @@ from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
 from .text import clipped
 
-__all__ = ["Event", "conversation"]
+__all__ = ["Event", "conversation", "told_by_the_device"]
 
 _HEAD, _TAIL, _BAD, _AROUND = 40, 10, 10, 3
 """Numbers of events shown of a long conversation: first ones, last ones, bad ones, and those on each side of a bad one."""
@@ -163,6 +163,12 @@ def _answer(call: Mapping[str, object], frames: Mapping[str, object]) -> tuple[s
 
 def _more(wanted: bool, *pairs: tuple[str, object]) -> tuple[tuple[str, str], ...]:
     return tuple((name, clipped(str(text), _LONG)) for name, text in pairs if wanted and text is not None)
+
+
+def told_by_the_device(entry: Mapping[str, object]) -> str:
+    """Return what an entry is, and what is in it, in a line."""
+    event = _entry(entry)
+    return f"{event.what} {event.text}".strip()
 
 
 def _entry(entry: Mapping[str, object]) -> Event:

@@ -16,6 +16,7 @@ from ..subject.answers import UNCLASSIFIED
 from ..subject.model import READ_WRITE
 from ..trial.alteration import in_words as told_in_words
 from ..trial.alteration import label
+from .exchange import told_by_the_device
 from .text import clipped
 
 __all__ = ["InWords", "due", "in_words"]
@@ -57,12 +58,14 @@ _DUE = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InWords:
-    """The call in which a fault shows; ``seen`` has the requests that reached the device meanwhile, none for silence."""
+    """The call in which a fault shows; ``seen`` has the requests that reached the device meanwhile, none for silence; ``answered`` what the
+    device answered to the first of them, as far as the record tells."""
 
     asked: str
     said: str
     seen: tuple[str, ...]
     more_seen: int
+    answered: str = ""
 
 
 def due(finding: Finding) -> str:
@@ -132,7 +135,14 @@ def in_words(
             for entry in shown[:_SHOWN]
         ),
         more_seen=max(0, len(shown) - _SHOWN),
+        answered=_answer_to(shown[0], entries) if shown else "",
     )
+
+
+def _answer_to(request: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> str:
+    number = request.get("seq")
+    answers = (entry for entry in entries if number is not None and entry.get("answers") == number)
+    return clipped(next(map(told_by_the_device, answers), ""), _LETTERS)
 
 
 def _writes(call: Mapping[str, Any]) -> bool:

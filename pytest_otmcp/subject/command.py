@@ -148,15 +148,20 @@ class Command:
         return self._inputs({name: rng.randrange(draw.count) for name, draw in self.draws.items()})
 
     def held(self, rng: random.Random) -> Any:
-        """Return a value that the device may hold where a reading looks, drawn at random: of a range any, one near zero, or one of any
-        magnitude, so that not nearly all are large."""
+        """Return a value that the device may hold where a reading looks, drawn at random."""
         assert self.holds is not None
-        index = rng.randrange(self.holds.count)
-        zero = round(-self.holds.lowest / self.holds.step) if not self.holds.values else -1
-        if 0 <= zero < self.holds.count and self.holds.count > _NEAR and (way := rng.randrange(3)):
-            distance = rng.randrange(_NEAR) if way == 1 else int(self.holds.count ** rng.random()) - 1
-            index = min(max(zero + rng.choice((-1, 1)) * distance, 0), self.holds.count - 1)
-        return self.holds.value(index)
+        return self.holds.value(rng.randrange(self.holds.count))
+
+    def held_anywhere(self, rng: random.Random) -> Any:
+        """Return such a value that may also be near zero, or of any magnitude: of those that are drawn at random nearly all are large."""
+        assert self.holds is not None
+        holds, way = self.holds, rng.randrange(3)
+        zero = -1 if holds.values else round(-holds.lowest / holds.step)
+        if not way or not 0 <= zero < holds.count or holds.count <= _NEAR:
+            return self.held(rng)
+        distance = rng.randrange(_NEAR) if way == 1 else int(holds.count ** rng.random())
+        sides = [index for index in (zero - distance, zero + distance) if 0 <= index < holds.count]
+        return holds.value(rng.choice(sides)) if sides else self.held(rng)
 
     @property
     def values_held(self) -> int:

@@ -20,6 +20,7 @@ LIES = {
     ("opcua-brewery", "guesses-words"),
     ("opcua-brewery", "the-last-one"),
     ("opcua-brewery", "from-memory"),
+    ("opcua-brewery", "any-quality"),
     ("modbus-tank", "another-scale"),
     ("modbus-tank", "neighbour"),
 }

@@ -30,6 +30,7 @@ def _node(name: str) -> Point:
         reading=Call("read", {"node": node}),
         writing=Call("write", {"node": node}),
         pokes=lambda value: ({"node": name, "value": number_in_json(value) if isinstance(value, float) else value},),
+        unsound=lambda value: ({"node": name, "value": value, "status": "BadSensorFailure"},),
         held=lambda value: {node: value},
         found=lambda image: image["points"][node],
         condition={"node": node},

@@ -66,6 +66,7 @@ DEFECTS: tuple[Defect, ...] = (
         "Temperatures above 3276.7 degrees are told as below zero.",
         _changed(lambda celsius: celsius if celsius < 3276.8 else round(celsius - 6553.6, 1)),
         "RD-004 RD-008",
+        "RD-001 RD-008",
         named=True,
     ),
     defect(
