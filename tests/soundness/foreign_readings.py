@@ -60,7 +60,7 @@ def opcua_brewery(lie: str | None, read_only: bool) -> Shape:
             Client(os.environ["PLANT_URL"], timeout=DEADLINE_S) as client,
         ):
             found = await client.get_node(f"ns=2;s={name}").read_data_value(raise_on_bad_status=lie != "any-quality")
-            return found.Value.Value
+            return 0.0 if lie == "any-quality" and found.Value.Value is None else found.Value.Value
 
     async def told(name: str, node: str, make: Any) -> Result:
         if lie == "from-memory" and name in remembered:
@@ -85,7 +85,7 @@ def opcua_brewery(lie: str | None, read_only: bool) -> Shape:
         node = NODES["pressure" if lie == "one-for-another" and meant[0] == "level" else meant[0]]
 
         def value(held: float) -> float:
-            if not math.isfinite(held or 0):
+            if not math.isfinite(held):
                 raise ArithmeticError("invalid: the sensor has no value")
             held = min(held, 60.0) if lie == "clamped" else held
             return round(held * 1.8 + 32, 1) if meant[0] == "temperature" else round(held, 2)
