@@ -12,6 +12,7 @@ A certificate is a function of the run record alone, so everybody who has the re
 from __future__ import annotations
 
 import math
+import re
 from collections import defaultdict
 from collections.abc import Container, Iterable, Iterator, Mapping, Set
 from typing import Any
@@ -193,8 +194,31 @@ def _adapter(
         "tools_judged": judged(facts),
         "tools_never_called": never_called(facts),
         "vocabulary": list(_vocabulary(facts)),
+        "members_not_judged": _members_not_judged(protocol, facts, run),
         "facets": {"earned": earned, "claimed_not_exercised": not_exercised, "not_claimed": not_claimed},
     }
+
+
+def _members_not_judged(protocol: str, facts: AdapterFacts, run: Run) -> dict[str, list[str]]:
+    """Return the members of the answers of tools with named readings that no reading is of, by tool: an assistant reads them as well."""
+    known: defaultdict[str, str] = defaultdict(str)
+    for case in (case for cases in facts["bindings"].values() for case in cases or ()):
+        if "holds" in (case.get("command") or {}):
+            known[case["tool"]] += " ".join(map(str, [*case["outputs"].values(), *case["arguments"]]))
+    found: defaultdict[str, set[str]] = defaultdict(set)
+    calls = (call for item in run["items"] for sample in item["samples"] for call in sample["calls"] if "tool" in call)
+    for call in calls:
+        tool, envelope = call["tool"], call.get("envelope")
+        data = (
+            envelope.get("data")
+            if isinstance(envelope, Mapping) and call["adapter"].partition("@")[0] == protocol
+            else None
+        )
+        if tool in known and isinstance(data, Mapping):
+            document = data.get("document", data)
+            names = document if isinstance(document, Mapping) else ()
+            found[tool] |= {name for name in names if not re.search(rf"\b{re.escape(name)}\b", known[tool])} - {"text"}
+    return {tool: sorted(names) for tool, names in sorted(found.items()) if names}
 
 
 def _vocabulary(facts: AdapterFacts) -> Iterator[dict[str, object]]:

@@ -103,7 +103,9 @@ def run(args: argparse.Namespace) -> int:
         else:
             state = "all is well, next"
         show(f"{state}: {_next(args)}")
-    elif well and not args.command:
+    elif well and args.command:
+        show("it can be asked, next: otmcp init with the same words")
+    elif well:
         show(
             "nothing is bound for some of them, so nothing can be asked: bind what otmcp init proposes, and try it with otmcp call"
         )

@@ -159,7 +159,12 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         lines += [f"# {why}", f"{key} = {_value(value)}"]
     lines += _disabling(draft)
     if draft.switch is None:
-        draft.left.append("how writes are disabled: 'ro' and 'rw' (until then 'guard' is declared as unclaimed)")
+        hint = (
+            f"; with --env {draft.switches[0].name}=VALUE that enables them otmcp init proves it"
+            if draft.switches
+            else ""
+        )
+        draft.left.append(f"how writes are disabled: 'ro' and 'rw' (until then 'guard' is declared as unclaimed{hint})")
     if draft.connect is not None:
         tool, arguments = draft.connect
         lines += [

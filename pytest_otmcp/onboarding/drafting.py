@@ -127,6 +127,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
             enabling, tools, written = await _try_writing(experimenter, adapter, switches, pack, tools, names, say)
             proposals |= written
             commands = await look_for_commands(experimenter, pack, tools, _taken(proposals, step), names, say)
+            proposals = {name: one for name, one in proposals.items() if one.proven or one.guess.tool not in commands}
             switch = await look_for_switch(experimenter, adapter, (*enabling, *switches), proposals, commands)
             if switch is not None:
                 say(f"  guard           {switch.name} (proven: it disables writes, and enables them)")

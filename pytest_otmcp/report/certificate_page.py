@@ -36,6 +36,8 @@ def certificate_page(certificate: Mapping[str, Any], sha256: str, *, signed: boo
         "certificate.html.jinja",
         subject=subject["name"],
         levels=list(_levels(told)),
+        partial=bool(told["isolation"]["missing"])
+        or any(one["tools_never_called"] for one in told["adapters"].values()),
         facts=_facts(told),
         digests=[
             ("Subject file", subject["digest"]["sha256"]),
@@ -116,7 +118,7 @@ def _stated(named: Mapping[str, Any]) -> str:
 def _range(values: Any) -> str:
     if isinstance(values, dict):
         step = "" if values["step"] == 1 else f" by {values['step']:g}"
-        return f"{values['lowest']:g} to {values['highest']:g}{step}"
+        return f"{values['lowest']:.12g} to {values['highest']:.12g}{step}"
     told = [
         f"{_shown(one['value'])} ({_shown(one['means'])})" if isinstance(one, dict) else _shown(one) for one in values
     ]
@@ -144,6 +146,10 @@ def _each_not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         )
         yield from ((name, facet, "claimed, and no item needed it") for facet in facets["claimed_not_exercised"])
         yield from ((name, output, "not found in its answers") for output in facts["outputs_not_judged"])
+        yield from (
+            (name, f"{tool}: {', '.join(members)}", "members of answers that no named reading is of")
+            for tool, members in facts["members_not_judged"].items()
+        )
     for item, why in told["not_applicable"].items():
         facet, _, reason = why.partition(": ")
         protocol, _, name = facet.partition(".")
