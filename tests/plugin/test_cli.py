@@ -279,10 +279,20 @@ def test_known_deviations_forbid_a_certificate_before_anything_runs(tmp_path: Pa
     )
     older = tmp_path / "reports" / "certificate" / "certificate.json"
     older.parent.mkdir(parents=True)
-    older.write_text("of an earlier version")
+    for name in ("certificate.json", "summary.md", "verdict.json", "report.html"):
+        (older.parent / name).write_text("of an earlier version")
     done = otmcp("certify", cwd=tmp_path)
     assert done.returncode == 1
     assert "declares known deviations (FM1), and a certificate excuses nothing" in sentence(done)
+    assert os.listdir(older.parent) == []
+
+
+def test_a_subject_file_that_cannot_be_read_leaves_no_certificate_of_an_earlier_run(tmp_path: Path) -> None:
+    (tmp_path / "otmcp.toml").write_text("[subject")
+    older = tmp_path / "reports" / "certificate" / "badge.svg"
+    older.parent.mkdir(parents=True)
+    older.write_text("of an earlier version")
+    assert otmcp("certify", cwd=tmp_path).returncode == 2
     assert os.listdir(older.parent) == []
 
 

@@ -60,9 +60,12 @@ def test_known_deviations_make_the_exit_code_green_and_not_the_verdict(repositor
     assert sorted(one["item"] for one in told) == sorted(failing)
 
     repository.subject("wrong-value", more=deviations([*failing, "M1"], "2999-01-01"))
-    stale = repository.pytest("--otmcp-reps=1")
+    stale = repository.pytest("--otmcp-reps=1", "--junit-xml=junit.xml")
     assert stale.code == 1
     assert stale.record["footer"]["deviations"]["stale"] == ["M1"]
+    (suite,) = ElementTree.parse(repository.root / "junit.xml").iter("testsuite")
+    (error,) = suite.iter("error")
+    assert "known deviation M1: its item passes, and the exit code is 1" in (error.get("message") or "")
 
 
 @pytest.mark.long
@@ -148,6 +151,24 @@ def test_a_refused_run_is_an_error_in_its_junit_file(repository: Repository) -> 
     (error,) = suite.iter("error")
     assert (suite.get("tests"), suite.get("errors")) == ("1", "1")
     assert "subject.naem: unknown key; did you mean 'name'?" in (error.get("message") or "")
+
+
+def test_a_run_without_an_item_is_an_error_in_its_junit_file(repository: Repository) -> None:
+    repository.subject()
+    outcome = repository.pytest("--otmcp-reps=1", "-k", "no_item_of_this_name", "--junit-xml=junit.xml")
+    assert outcome.code == 5, outcome.output
+    (suite,) = ElementTree.parse(repository.root / "junit.xml").iter("testsuite")
+    (error,) = suite.iter("error")
+    assert error.get("message") == "INCOMPLETE: no item of the suite ran"
+
+
+@pytest.mark.long
+def test_a_run_that_ends_at_its_first_failure_was_interrupted_by_nobody(repository: Repository) -> None:
+    repository.subject("wrong-value")
+    outcome = repository.pytest("--otmcp-reps=1", "-x", "-n", "1", plugins="xdist")
+    assert outcome.code == 1, outcome.output
+    assert "interrupted" not in outcome.output
+    assert any("the run ended at failure number 1" in noted for noted in outcome.narrowed)
 
 
 @pytest.mark.long
