@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ..core.verdict import Verdict
+from ..core.verdict import INEXPRESSIBLE, UNBOUND, Verdict
 from ..protocols.registry import protocols
 from ..suite.spoken import of_spoken
 from ..trial.applicability import NOT_CLAIMED
 from . import Run, applies
 from .text import clipped
 
-__all__ = ["not_applying", "nothing_asked"]
+__all__ = ["not_applying", "nothing_asked", "without_values"]
 
 _LETTERS = 120
 """Letters of a vendor's reason."""
@@ -37,7 +37,7 @@ def not_applying(run: Run, *, named: bool = True) -> str:
     reasons: dict[str, list[str]] = {}
     for item in of_spoken(run)["items"]:
         if not applies(item):
-            reasons.setdefault(item["reason"] or "not claimed", []).append(item["id"])
+            reasons.setdefault(without_values(item["reason"] or "not claimed"), []).append(item["id"])
     if not reasons:
         return ""
     count = sum(map(len, reasons.values()))
@@ -47,6 +47,13 @@ def not_applying(run: Run, *, named: bool = True) -> str:
         else _folded(reasons)
     )
     return f"{count} {'does' if count == 1 else 'do'} not apply: {'; '.join(told)}"
+
+
+def without_values(reason: str) -> str:
+    """Return a reason without the values that an item has drawn, which tell nobody anything."""
+    if not reason.startswith((*INEXPRESSIBLE, UNBOUND)):
+        return reason
+    return f"{reason.partition(' with ')[0]} with the values asked for"
 
 
 def _folded(reasons: Mapping[str, Sequence[str]]) -> list[str]:

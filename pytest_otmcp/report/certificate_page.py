@@ -10,10 +10,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..core.text import counted
-from ..core.verdict import INEXPRESSIBLE, UNBOUND
 from ..protocols.protocol import FACETS
 from ..protocols.registry import protocols
 from ..suite.requirements import Level
+from .applying import without_values
 from .page import filled
 from .permission import covered, not_covered, permitted
 from .text import calls_made
@@ -154,7 +154,7 @@ def _each_not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         facet, _, reason = why.partition(": ")
         protocol, _, name = facet.partition(".")
         if protocol not in protocols() or not reason:
-            yield "", item, _without_values(why)
+            yield "", item, without_values(why)
         # What the subject does not speak is not about it.
         elif protocol in told["adapters"]:
             yield (
@@ -162,13 +162,6 @@ def _each_not_tested(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
                 item.removesuffix(f".{protocol}"),
                 f"{_in_words(protocol, name)}: {reason}",
             )
-
-
-def _without_values(reason: str) -> str:
-    """Return a reason without the values that an item has drawn, which tell nobody anything a year later."""
-    if not reason.startswith((*INEXPRESSIBLE, UNBOUND)):
-        return reason
-    return f"{reason.partition(' with ')[0]} with the values asked for"
 
 
 def _in_words(protocol: str, facet: str) -> str:
