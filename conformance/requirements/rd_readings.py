@@ -9,7 +9,7 @@ from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.check import Checks
-from pytest_otmcp.trial.named_readings import asked_of, place_of
+from pytest_otmcp.trial.named_readings import apart, asked_of, place_of
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Command, Rig
 
@@ -44,10 +44,15 @@ async def readings_tell_what_the_device_holds(run: Repetition, at: Rig) -> None:
     every = [(operation, reading, _every(run, at, operation, reading)) for operation, reading in at.readings()]
     called = [(operation, reading, asked) for operation, reading, asked in every if asked]
     for operation, reading, places in called:
-        for asked in places:
+        different = apart(places)
+        for asked in different:
             await _set(at, asked)
-        for asked in places:
+        for asked in different:
             await _tells(run, at, asked)
+        for asked in places:
+            if asked not in different:
+                await _set(at, asked)
+                await _tells(run, at, asked)
         inputs = places[0].inputs
         drawn = [(reading.drawn(run.rng), reading.held_anywhere(run.rng)) for _ in range(_DRAWN)]
         for given, value in [*((inputs, end) for end in reading.held_at_most()), *drawn]:

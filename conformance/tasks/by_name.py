@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.unsolicited import nothing_commanded
-from pytest_otmcp.trial.named_readings import asked_of
+from pytest_otmcp.trial.named_readings import apart, asked_of
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
@@ -44,12 +44,10 @@ async def told_in_turn(run: Repetition, at: Rig, calls: int) -> None:
 
 async def told_at_once(run: Repetition, at: Rig, calls: int) -> None:
     """Call named readings so many times, at the same time, and expect in each answer what was set at random at its own place."""
-    asked = [_one_of(run, at, place) for place in range(calls)]
-    # What is read twice is what was set last.
-    held = {tuple(one.points): one for one in asked}
-    asked = [held[tuple(one.points)] for one in asked]
-    for one in held.values():
+    different = apart(_one_of(run, at, place) for place in range(calls))
+    for one in different:
         await _set(at, one)
+    asked = [different[place % len(different)] for place in range(calls)]
     replies = await run.together(*(at.call(one.operation, **one.inputs) for one in asked))
     for one, reply in zip(asked, replies, strict=True):
         run.succeeds(reply, **one.outputs)

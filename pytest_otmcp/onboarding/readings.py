@@ -32,6 +32,7 @@ _TOOLS, _VALUES, _FOUND = 12, 6, 8
 _SAMPLES = 7
 """So often all that a tool reads is set at random."""
 _USUAL = 3000
+"""Whole numbers below it are what sensors have."""
 _STATES, _CELLS = 8, 4
 """So many small numbers may each be a state, in at most so many cells that a call reads."""
 _ENOUGH = 4
@@ -43,6 +44,7 @@ _APART = 20
 _WELL = 0.8
 """Part of half a step within which a line has to be."""
 _EXACT = 1e-6
+"""What a calculation alone may be off."""
 
 Source = tuple[str, Mapping[str, Any]]
 """An operation that reads one value, with its inputs."""
@@ -63,7 +65,7 @@ class Reading:
         step: answers are rounded to so much of what the device holds; 0 where they are not.
         samples: so many answers show it.
         otherwise: a value of the device at which the answer did not follow; None where there was none.
-        bounds: the lowest and the highest whole number that the place can hold; None where it holds no whole numbers.
+        bounds: the lowest and the highest number that the place can hold, of floating-point ones 0 and 100; None where it holds a truth value.
         good: an answer.
     """
 
@@ -79,6 +81,11 @@ class Reading:
     otherwise: object
     bounds: tuple[int, int] | None
     good: Mapping[str, object]
+
+    @property
+    def example(self) -> dict[str, Any]:
+        """The arguments of a call."""
+        return {name: next(iter(self.draws.get(name, [value]))) for name, value in self.arguments.items()}
 
     @property
     def tells_numbers(self) -> bool:
@@ -117,12 +124,8 @@ async def look_for_readings(
         return found
 
     def again(one: Reading) -> Callable[[], Awaitable[str | None]]:
-        given = {
-            name: next(iter(one.draws[name])) if name in one.draws else value for name, value in one.arguments.items()
-        }
-
         async def proves() -> str | None:
-            found = await _at(experimenter, pack, one.tool, given)
+            found = await _at(experimenter, pack, one.tool, one.example)
             return next((reading.source[0] for reading in found if reading.tells_numbers), None)
 
         return proves
@@ -144,10 +147,7 @@ def as_proposals(readings: Mapping[str, Reading]) -> dict[str, Proposal]:
     """Return the first reading of each operation as a proposal for it, as far as it is a call that the device has to answer."""
     found: dict[str, Proposal] = {}
     for one in readings.values():
-        arguments = {
-            name: next(iter(one.draws[name])) if name in one.draws else value for name, value in one.arguments.items()
-        }
-        guess = replace(Guess.of_tool(one.tool, ()), operation=one.source[0], arguments=arguments)
+        guess = replace(Guess.of_tool(one.tool, ()), operation=one.source[0], arguments=one.example)
         found.setdefault(one.source[0], Proposal(guess=guess, proven=True, evidence=[], form=one.form, good=one.good))
     return found
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -15,7 +15,7 @@ from ..protocols.proof import Call, Proof, Way
 from ..protocols.registry import protocols
 from ..subject.command import Command, Draw
 
-__all__ = ["Readings", "asked_of", "place_of", "with_readings"]
+__all__ = ["Readings", "apart", "asked_of", "place_of", "with_readings"]
 
 Readings = Sequence[tuple[str, Command]]
 """Named readings, each with the operation that it performs."""
@@ -28,6 +28,15 @@ def asked_of(protocol: str, operation: str, inputs: Mapping[str, Any], value: ob
         inputs: of the operation, as the reading draws them.
     """
     return place_of(protocol, operation, inputs).read(value)
+
+
+def apart(every: Iterable[Asked]) -> list[Asked]:
+    """Return the calls whose places share no cell of the device with that of one before them: what is set for one stays for all."""
+    found: list[Asked] = []
+    for asked in every:
+        if all(asked.points.keys().isdisjoint(other.points) for other in found):
+            found.append(asked)
+    return found
 
 
 def with_readings(proof: Proof, protocol: str, readings: Readings) -> Proof:

@@ -61,6 +61,17 @@ def checks_of(protocol: str) -> str:
     return " ".join(task.id for task in every if task.suite == REQUIREMENTS and protocol in task.adapters)
 
 
+def accused_of_nothing(judge_foreign: Judge, name: str, rows: str, items: str) -> None:
+    """Expect that an adapter fails nothing, and passes these rows of the requirement suite, and of the benchmark these items alone."""
+    protocol = name.partition("-")[0]
+    results = judge_foreign(name, tasks=checks_of(protocol))
+    assert failing(results) == set(), words(results)
+    assert passing(results) >= on(protocol, rows)
+    benchmark = judge_foreign(name)
+    assert failing(benchmark) == set(), words(benchmark)
+    assert passing(benchmark) == set(items.split())
+
+
 @pytest.mark.parametrize("name", HONEST)
 def test_an_honest_adapter_with_a_vocabulary_of_its_own_passes_what_it_can_express(
     judge_foreign: Judge, name: str
@@ -73,14 +84,7 @@ def test_an_honest_adapter_with_a_vocabulary_of_its_own_passes_what_it_can_expre
 @pytest.mark.long
 @pytest.mark.parametrize("name", HONEST)
 def test_an_honest_adapter_with_a_vocabulary_of_its_own_is_accused_of_nothing(judge_foreign: Judge, name: str) -> None:
-    protocol = name.partition("-")[0]
-    rows, items = HONEST[name]
-    results = judge_foreign(name, tasks=checks_of(protocol))
-    assert failing(results) == set(), words(results)
-    assert passing(results) >= on(protocol, rows)
-    benchmark = judge_foreign(name)
-    assert failing(benchmark) == set(), words(benchmark)
-    assert passing(benchmark) == set(items.split())
+    accused_of_nothing(judge_foreign, name, *HONEST[name])
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from .conftest import Judge, failing, passing, requirements, words
-from .test_commands import checks_of, on
+from .test_commands import accused_of_nothing, on
 
 HONEST = {
     "opcua-brewery": ("RD-004 RD-008 REC-001 TMO-001", "O1 S3 S9 S12 R-opcua"),
@@ -36,14 +36,7 @@ def test_an_honest_adapter_with_readings_of_its_own_passes_what_it_can_express(j
 @pytest.mark.long
 @pytest.mark.parametrize("name", HONEST)
 def test_an_honest_adapter_with_readings_of_its_own_is_accused_of_nothing(judge_foreign: Judge, name: str) -> None:
-    protocol = name.partition("-")[0]
-    rows, items = HONEST[name]
-    results = judge_foreign(name, tasks=checks_of(protocol))
-    assert failing(results) == set(), words(results)
-    assert passing(results) >= on(protocol, rows)
-    benchmark = judge_foreign(name)
-    assert failing(benchmark) == set(), words(benchmark)
-    assert passing(benchmark) == set(items.split())
+    accused_of_nothing(judge_foreign, name, *HONEST[name])
 
 
 @pytest.mark.parametrize(

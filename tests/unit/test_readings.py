@@ -21,7 +21,7 @@ from pytest_otmcp.subject.answers import extract
 from pytest_otmcp.subject.comparison import stored_bindings
 from pytest_otmcp.subject.model import Binding
 from pytest_otmcp.trial.expectations import succeeded
-from pytest_otmcp.trial.named_readings import asked_of, with_readings
+from pytest_otmcp.trial.named_readings import apart, asked_of, with_readings
 from pytest_otmcp.trial.reply import Expectation, observe
 
 HEAD = """
@@ -279,4 +279,10 @@ def test_a_wrong_reading_is_told_in_the_terms_of_the_device(load: Load, value: s
     )
     (finding,) = succeeded(observe(exchange, expectation), values=[215])
     assert finding.message == f"level(): the device holds 215, by the subject file the reply means {meant}"
-    assert due({"code": finding.code, "message": finding.message}) == "what means 215 at the device"  # type: ignore[typeddict-item]
+    assert due(cast(Any, {"code": finding.code, "message": finding.message})) == "what means 215 at the device"
+
+
+def test_places_that_share_a_register_are_not_set_together() -> None:
+    inputs = [{"address": address, "type": "float32", READING: "level"} for address in (0, 1, 2)]
+    asked = [asked_of("modbus", "read_typed", one, 1.5) for one in inputs]
+    assert apart(asked) == [asked[0], asked[2]]
