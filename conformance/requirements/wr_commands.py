@@ -33,7 +33,8 @@ async def commands_have_their_effect(run: Repetition, at: Rig) -> None:
     the same values, after somebody else has changed what it did. Call one of several effects while the device refuses every write, if it can.
     Give an argument that takes a few words one that stands for nothing, and one of them between other letters.
 
-    Said: success; a failure of what the device has refused, and of a word that stands for nothing.
+    Said: success, with the arguments and the effect as they were asked for, where the subject file states what the answer says of them; a
+        failure of what the device has refused, and of a word that stands for nothing.
     Seen: one request for each call, with the effect that the subject file states, or one for each of its effects, in their order; where the
         device holds values, it holds these, and everything else is as it was. Nothing of a word that only holds a known one.
     Why: an assistant knows a lamp or a pump by its name alone, and cannot see which register that is.

@@ -200,10 +200,10 @@ def _adapter(
 
 
 def _members_not_judged(protocol: str, facts: AdapterFacts, run: Run) -> dict[str, list[str]]:
-    """Return the members of the answers of tools with named readings that no reading is of, by tool: an assistant reads them as well."""
+    """Return the members of the answers of tools with names of the adapter's own that no reading is of and no command says, by tool: an assistant reads them as well."""
     known: defaultdict[str, str] = defaultdict(str)
     for case in (case for cases in facts["bindings"].values() for case in cases or ()):
-        if "holds" in (case.get("command") or {}):
+        if case.get("command") is not None:
             known[case["tool"]] += " ".join(map(str, [*case["outputs"].values(), *case["arguments"]]))
     found: defaultdict[str, set[str]] = defaultdict(set)
     calls = (call for item in run["items"] for sample in item["samples"] for call in sample["calls"] if "tool" in call)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import random
 import re
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from dataclasses import replace
 from typing import Any
 
+from ..core.strict_json import same_json
 from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
 from ..subject.command import Draw
@@ -17,6 +19,7 @@ from .guess import Guess
 from .input_schema import kinds, properties, required, resolved
 from .matching import commanding_tools, snake, words_in
 from .pack import Pack, Told
+from .readings import said_in
 
 __all__ = ["look_for_commands"]
 
@@ -101,10 +104,31 @@ async def _effect(
         if calls:
             ranges = {one: bounds for one in values if (bounds := _range(arguments[one])) is not None}
             operations = protocols()[experimenter.adapter.adapter.protocol].operations
-            return effect_of(name, calls, ranges, operations[calls[0].operation].documents)
+            effect = effect_of(name, calls, ranges, operations[calls[0].operation].documents)
+            return None if effect is None else replace(effect, says=_says(effect, calls))
         if calls is None:
             return None
     return None
+
+
+def _says(effect: Effect, calls: Sequence[Call]) -> dict[str, Mapping[str, Any]]:
+    """Return where the answers say the values of the arguments: as they were given, or by another word for each of a few."""
+    places = [*said_in([call.answer for call in calls])]
+    found: dict[str, Mapping[str, Any]] = {}
+    for name, draw in effect.command.draws.items():
+        given = [call.arguments[name] for call in calls]
+        for _, rule, said in places:
+            if all(map(same_json, given, said)) and any(not same_json(given[0], one) for one in given):
+                found[name] = rule
+                break
+            words = {word: value for word, value in zip(said, given, strict=True) if isinstance(word, str)}
+            alike = all(
+                isinstance(word, str) and same_json(words[word], value) for word, value in zip(said, given, strict=True)
+            )
+            if draw.values and alike and len(words) == draw.count > 1 and len(rule) == 1:
+                found[name] = {**rule, "means": words}
+                break
+    return found
 
 
 async def _calls(

@@ -42,6 +42,7 @@ class Effect:
         command: the values that may be drawn, and the template of the operation's inputs.
         calls: how many calls show it.
         good: the answer to one of them.
+        says: argument to where the answers say its value, and what that means.
     """
 
     operation: str
@@ -49,6 +50,7 @@ class Effect:
     command: Command
     calls: int
     good: Mapping[str, object]
+    says: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def effect_of(

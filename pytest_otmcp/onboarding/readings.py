@@ -25,7 +25,7 @@ from .matching import reading_tools
 from .pack import Pack
 from .proposal import Proposal
 
-__all__ = ["Reading", "as_proposals", "look_for_readings"]
+__all__ = ["Reading", "as_proposals", "look_for_readings", "said_in"]
 
 _TOOLS, _VALUES, _FOUND = 12, 6, 8
 """At most so many tools are tried, so many values of an argument, and so many readings are proposed for one tool."""
@@ -236,7 +236,7 @@ async def _following(
     if len(samples) < _ENOUGH:
         return []
     found: list[Reading] = []
-    for form, rule, said in _said([sample.message for sample in samples]):
+    for form, rule, said in said_in([sample.message for sample in samples]):
         tried = ((source, _fit(point, place, samples, said)) for place, (source, point) in enumerate(points))
         fits = [(source, fit) for source, fit in tried if fit is not None]
         if not fits:
@@ -272,7 +272,7 @@ async def _by_number(
             return []
         if shown.message is not None and not tells_failure(shown.message):
             messages[number] = shown.message
-    for form, rule, said in _said([*messages.values()]) if messages else ():
+    for form, rule, said in said_in([*messages.values()]) if messages else ():
         words = {
             word: number
             for number, word in zip(messages, said, strict=True)
@@ -356,7 +356,7 @@ def _any(experimenter: Experimenter, point: Point, turn: int) -> Any:
     return rng.randrange(kind.lowest, middle) if turn == _SAMPLES - 2 else rng.randrange(1, min(_USUAL, kind.highest))
 
 
-def _said(messages: Sequence[Mapping[str, object]]) -> Iterator[tuple[str, Mapping[str, Any], list[Any]]]:
+def said_in(messages: Sequence[Mapping[str, object]]) -> Iterator[tuple[str, Mapping[str, Any], list[Any]]]:
     """Yield each place of the answers that may be a value, with what stands there."""
     for form in FORMS:
         documents = [read_answer(message, form)[0] for message in messages]

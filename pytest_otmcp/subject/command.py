@@ -22,6 +22,7 @@ from ..protocols.exercise import READING, THEN
 
 __all__ = [
     "LARGEST",
+    "SAYS",
     "Command",
     "Draw",
     "Effect",
@@ -45,6 +46,8 @@ _DIGITS = 9
 _MOST_EXAMPLES = 64
 _NEAR = 20
 """Steps from zero that are near to it."""
+SAYS = "says."
+"""Beginning of the names of outputs that a command's answer has in the words of its arguments, so that none is an output of its operation."""
 LARGEST = 2.0**53
 """Whole numbers beyond it are not the same number to every reader of JSON (RFC 8259, section 6)."""
 
@@ -233,6 +236,10 @@ class Command:
                 if not self._match(template, value, found):
                     return None
         return self._values(found) if found.keys() >= self.draws.keys() else None
+
+    def asked_for(self, inputs: Mapping[str, object]) -> dict[str, Any]:
+        """Return what an answer may say: the inputs of the command's first effect, and the values of its arguments, which come first."""
+        return {**inputs, **(self.arguments(inputs) or {})}
 
     def effect_of(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """Return the operation's inputs for these values of the arguments.

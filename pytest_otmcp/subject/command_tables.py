@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from ..protocols.protocol import OtProtocol
-from .bindings import read_answering
-from .command import Command, Draw, Effect, is_computed, is_number, names_in, pattern
+from .bindings import output_rule, read_answering
+from .command import SAYS, Command, Draw, Effect, is_computed, is_number, names_in, pattern
 from .kinds import Refusal, nearest
-from .model import Answering, Binding, Function, placeholders
+from .model import Answering, Binding, Function, OutputRule, placeholders
 from .placeholder_check import check_placeholders
 
 __all__ = ["Operations", "check_names", "declared_by", "read_draw", "read_draws", "with_commands"]
@@ -73,10 +73,14 @@ def _command(
     command = Command(name=name, draws=draws, effect=first.effect, documents=first.documents, then=tuple(then))
     if command.is_ambiguous:
         raise Refusal(within, "two values of an argument are the same at the device, or run into one another in a text")
+    for named in table["says"]:
+        if named not in draws and named not in first.effect:
+            known = nearest(named, [*draws, *first.effect])
+            raise Refusal(f"{key}.says.{named}", f"is no argument that is drawn, and no input of the effect; {known}")
     binding = Binding(
         tool=table.get("tool", name),
         arguments=arguments,
-        outputs={},
+        outputs={f"{SAYS}{named}": _said(rule, draws.get(named)) for named, rule in table["says"].items()},
         answering=read_answering(table, key, answering),
         when={},
         offset={},
@@ -85,6 +89,14 @@ def _command(
         command=command,
     )
     return first.operation, binding
+
+
+def _said(rule: str | Mapping[str, Any], draw: Draw | None) -> OutputRule:
+    """Return where an answer says a value; one of a range may be told with digits that only its calculation has made."""
+    found = output_rule(rule)
+    if draw is None or draw.values or isinstance(found.means, Mapping):
+        return found
+    return replace(found, means=found.means or "$value", grid=(draw.lowest, draw.step))
 
 
 def _effect(operation: str, inputs: Mapping[str, Any], protocol: OtProtocol) -> Effect:

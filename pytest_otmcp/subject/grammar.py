@@ -321,7 +321,7 @@ _READ_VALUE = Named(
                 **OUTPUT_TABLE.keys,
                 "means": Key(
                     ByType(str, _COMPUTATION, MapOf(ANYTHING)),
-                    "What the device holds by it: a number made from $value, or a table of words, each with what is held then.",
+                    "What is meant by it: a number made from $value, or a table of words, each with what it means.",
                 ),
             }
         ),
@@ -583,6 +583,11 @@ def command_table(protocol: OtProtocol) -> Table:
                 effect,
                 "What the device gets: an operation with its inputs, or a list of these, in their order.",
                 required=True,
+            ),
+            "says": Key(
+                MapOf(_READ_VALUE),
+                "Argument, or input of the effect, to where the answer says its value, and what that means.",
+                default={},
             ),
             **_answering("; without it as the adapter does"),
         }

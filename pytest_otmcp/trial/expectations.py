@@ -14,6 +14,7 @@ from ..core.finding import Finding
 from ..core.strict_json import same_json
 from ..protocols.protocol import BOUNDS, GOVERNANCE, LAUNCHES
 from ..protocols.registry import protocols
+from ..subject.command import SAYS
 from .reply import Reply
 
 __all__ = ["failed", "succeeded"]
@@ -28,6 +29,7 @@ _OWN_LIMIT = re.compile(r"\brunaway\b|\brate[ _-]?limit|\btoo many (?:calls|requ
 def succeeded(reply: Reply, *, requirement: str | None = None, **outputs: object) -> list[Finding]:
     """Expect that the call claims success and that its outputs equal ``outputs``.
 
+    What the answer of a named command says is held against what was asked for, whether ``outputs`` name it or not.
     An output that the subject's binding does not say how to find is not judged here; the device still is.
 
     Args:
@@ -53,6 +55,29 @@ def succeeded(reply: Reply, *, requirement: str | None = None, **outputs: object
                 evidence=_shown(reply.envelope),
             )
         ]
+    return [*_said_otherwise(reply), *_differences(reply, outputs, requirement)]
+
+
+def _said_otherwise(reply: Reply) -> list[Finding]:
+    """Return what the answer of a named command says of its arguments, or of its effect, that is not what was asked for."""
+    return [
+        Finding(
+            code="wrong_value",
+            message=f"{reply.label}: {_otherwise(name.removeprefix(SAYS), asked, reply.outputs.get(name))}",
+            requirement="WR-014",
+            evidence=_shown(reply.envelope),
+        )
+        for name, asked in reply.asked.items()
+        if not same_json(asked, reply.outputs.get(name))
+    ]
+
+
+def _otherwise(name: str, asked: object, found: object) -> str:
+    says = "nothing" if found is None else _shown(found)
+    return f"{name} should be {_shown(asked)}, the reply says {says} by the subject file"
+
+
+def _differences(reply: Reply, outputs: Mapping[str, object], requirement: str | None) -> list[Finding]:
     return [
         Finding(
             code="wrong_value",

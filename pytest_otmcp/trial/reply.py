@@ -24,6 +24,7 @@ from ..subject.answers import (
     synthesised,
     synthesised_from_outputs,
 )
+from ..subject.command import SAYS
 from ..subject.model import Answering, Binding, OutputRule, placeholders
 from .alteration import label
 
@@ -58,6 +59,7 @@ class Expectation:
         topicless: messages are payloads without their topics; ``topic`` is that of all of them, or None where it cannot be known.
         listed: the session lists the tool; the read-only variant may do without its writing tools.
         meaning: the outputs are what the answer of a named reading means at the device.
+        asked: what the answer of a named command has to say, by the name of the output.
     """
 
     adapter: str
@@ -71,6 +73,7 @@ class Expectation:
     topicless: bool = False
     topic: str | None = None
     meaning: bool = False
+    asked: Mapping[str, object] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -99,6 +102,7 @@ class Expectation:
             topicless=binding.topicless,
             topic=described.topic_of(inputs) if asked and described.topic_of is not None else None,
             meaning=binding.command is not None and binding.command.holds is not None,
+            asked=_asked(binding, inputs),
         )
 
 
@@ -117,6 +121,7 @@ class Reply:
         taken: the handles of earlier calls that the arguments hold, each by ``step.name``.
         asks: the call has ended with a question for the client.
         meaning: the outputs are what the answer means at the device.
+        asked: see :class:`Expectation`.
         excess: the bound of the tool's own schema that the arguments of a call that failed do not keep; None where they keep all.
     """
 
@@ -133,6 +138,7 @@ class Reply:
     excess: str | None = None
     asks: bool = False
     meaning: bool = False
+    asked: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def tool(self) -> str:
@@ -206,6 +212,14 @@ class Reply:
         return _label(self.exchange)
 
 
+def _asked(binding: Binding, inputs: Mapping[str, object]) -> dict[str, object]:
+    command, said = binding.command, [name for name in binding.outputs if name.startswith(SAYS)]
+    if command is None or not said:
+        return {}
+    known = command.asked_for(inputs)
+    return {name: known.get(name.removeprefix(SAYS)) for name in said}
+
+
 def observe(exchange: Exchange, expected: Expectation) -> Reply:
     """Read the frames of an exchange strictly and note every fault of the reply as such."""
     limit_ms = expected.calls * expected.deadline_s * 1000
@@ -222,6 +236,7 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
         native=expected.answering.native,
         listed=expected.listed,
         meaning=expected.meaning,
+        asked=expected.asked,
     )
     if exchange.response is None:
         if exchange.failure == CANCELLED:

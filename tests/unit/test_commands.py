@@ -6,16 +6,20 @@ import json
 import random
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from pytest_otmcp.errors import UsageError
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.replay.reply import restored_bindings
+from pytest_otmcp.report.plainly import due
+from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.subject import Subject, load_subject, named_subject
 from pytest_otmcp.subject.comparison import stored_bindings
 from pytest_otmcp.subject.model import Binding
+from pytest_otmcp.trial.expectations import succeeded
+from pytest_otmcp.trial.reply import Expectation, observe
 
 HEAD = """
 [subject]
@@ -286,3 +290,39 @@ def test_a_wrong_table_is_refused_in_one_sentence(load: Load, run: str) -> None:
         load(run)
     assert WRONG[run] in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+SAYING = f"{GOOD}says.percent = {{ regex = 'at (\\S+) %', as = 'float' }}\nsays.value = {{ regex = '; (.+)', means = {{ fast = 1020 }} }}\n"
+
+
+@pytest.mark.parametrize(
+    ("value", "said", "wrong"),
+    [
+        (1020, "runs at 100.0 %; fast", []),
+        (1020, "runs at 100.00001 %; fast", []),
+        (1020, "runs at 0 %; fast", ["percent should be 100, the reply says 0 by the subject file"]),
+        (1020, "runs at 100 %; slow", ["value should be 1020, the reply says nothing by the subject file"]),
+        (523, "runs at 50.3 %; fast", ["value should be 523, the reply says 1020 by the subject file"]),
+    ],
+)
+def test_an_answer_says_what_was_asked_for(load: Load, value: int, said: str, wrong: list[str]) -> None:
+    stored = json.loads(json.dumps(stored_bindings(load(SAYING).adapters["modbus"], "write_holding")))
+    restored = restored_bindings({"write_holding": stored})["write_holding"]
+    assert isinstance(restored, list | tuple)
+    for binding in (only(load(SAYING), "write_holding"), restored[0]):
+        message = {"jsonrpc": "2.0", "id": 1, "result": {"content": [{"type": "text", "text": said}]}}
+        response = (json.dumps(message) + "\n").encode()
+        exchange = Exchange(tool="run", arguments={}, request=b"", response=response, sent_ns=1, received_ns=2)
+        inputs = {"address": 40, "value": value}
+        expectation = Expectation.of(
+            binding, inputs, adapter="modbus", variant="rw", operation="write_holding", deadline_s=5, listed=True
+        )
+        found = succeeded(observe(exchange, expectation))
+        assert [finding.message for finding in found] == [f"run(): {one}" for one in wrong]
+        assert all(finding.requirement == "WR-014" for finding in found)
+        assert all(due(cast(Any, {"code": one.code, "message": one.message})) is not None for one in found)
+
+
+def test_what_an_answer_may_say_is_an_argument_or_an_input_of_the_effect(load: Load) -> None:
+    with pytest.raises(UsageError, match=r"commands\.run\.says\.percnt: is no argument that is drawn, and no input"):
+        load(f'{GOOD}says.percnt = "v"')
