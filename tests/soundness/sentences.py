@@ -108,7 +108,7 @@ _RULES: Sequence[tuple[re.Pattern[str], Told]] = [
         (r"the reply (?:says|tells) .*\bwith success|the reply says success", _success),
         (r"answered after \d+ ms|answered with a", _answered),
         # A reading of the reply, not its words.
-        (r"the reply says (?:\[.*\] of \[|source |that it is )", _answered),
+        (r"the reply says (?:\[.*\] of \[|source |that it is |.* by the subject file$)", _answered),
         (r"the reply says a list of (\d+)$", _has_list),
         (r"the reply says (.*?)(?:….*)?$", _quotes),
         (r"says itself that it is not the device's: (.*)", _quotes),
