@@ -200,11 +200,13 @@ def _adapter(
 
 
 def _members_not_judged(protocol: str, facts: AdapterFacts, run: Run) -> dict[str, list[str]]:
-    """Return the members of the answers of tools with names of the adapter's own that no reading is of and no command says, by tool: an assistant reads them as well."""
+    """Return the members of answers that no named reading and no named command states, by tool: an assistant reads them as well."""
     known: defaultdict[str, str] = defaultdict(str)
     for case in (case for cases in facts["bindings"].values() for case in cases or ()):
-        if case.get("command") is not None:
-            known[case["tool"]] += " ".join(map(str, [*case["outputs"].values(), *case["arguments"]]))
+        if (command := case.get("command")) is not None:
+            # The name of a sensor in its answer is no value. What a command was given is one: the answer may deny it.
+            repeated = case["arguments"] if "holds" in command else ()
+            known[case["tool"]] += " ".join(map(str, [*case["outputs"].values(), *repeated]))
     found: defaultdict[str, set[str]] = defaultdict(set)
     calls = (call for item in run["items"] for sample in item["samples"] for call in sample["calls"] if "tool" in call)
     for call in calls:

@@ -105,30 +105,36 @@ async def _effect(
             ranges = {one: bounds for one in values if (bounds := _range(arguments[one])) is not None}
             operations = protocols()[experimenter.adapter.adapter.protocol].operations
             effect = effect_of(name, calls, ranges, operations[calls[0].operation].documents)
-            return None if effect is None else replace(effect, says=_says(effect, calls))
+            return None if effect is None else _saying(effect, calls)
         if calls is None:
             return None
     return None
 
 
-def _says(effect: Effect, calls: Sequence[Call]) -> dict[str, Mapping[str, Any]]:
-    """Return where the answers say the values of the arguments: as they were given, or by another word for each of a few."""
-    places = [*said_in([call.answer for call in calls])]
-    found: dict[str, Mapping[str, Any]] = {}
+def _saying(effect: Effect, calls: Sequence[Call]) -> Effect:
+    """Return the command with the places where the answers say the values of its arguments: as they were given, or each by a word of its own."""
+    # Beside its data an envelope has meta, which is about the call.
+    told = said_in([call.answer for call in calls])
+    places = [place for place in told if not str(place[1].get("path", "")).startswith("meta.")]
+    says: dict[str, Mapping[str, Any]] = {}
     for name, draw in effect.command.draws.items():
         given = [call.arguments[name] for call in calls]
         for _, rule, said in places:
-            if all(map(same_json, given, said)) and any(not same_json(given[0], one) for one in given):
-                found[name] = rule
+            if all(map(same_json, given, said)) and not all(same_json(given[0], value) for value in given):
+                says[name] = rule
                 break
-            words = {word: value for word, value in zip(said, given, strict=True) if isinstance(word, str)}
-            alike = all(
-                isinstance(word, str) and same_json(words[word], value) for word, value in zip(said, given, strict=True)
-            )
-            if draw.values and alike and len(words) == draw.count > 1 and len(rule) == 1:
-                found[name] = {**rule, "means": words}
+            if draw.values and (words := _words(given, said)) is not None and len(words) == draw.count > 1:
+                says[name] = {**rule, "means": words}
                 break
-    return found
+    return replace(effect, says=says, form=places[0][0] if places else "")
+
+
+def _words(given: Sequence[Any], said: Sequence[Any]) -> dict[str, Any] | None:
+    """Return the value that each word stands for; None where a word stands for two, or something else than words is said."""
+    if not all(isinstance(word, str) for word in said):
+        return None
+    words = dict(zip(said, given, strict=True))
+    return words if all(same_json(words[word], value) for word, value in zip(said, given, strict=True)) else None
 
 
 async def _calls(

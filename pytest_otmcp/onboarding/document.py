@@ -512,7 +512,12 @@ def _command(draft: Draft, name: str, effect: Effect, form: str) -> list[str]:
         f"arguments = {_value(dict(effect.arguments))}",
         *_prose(draft, effect.good, form),
         f"effect.{effect.operation} = {_value(dict(effect.command.effect))}",
-        *(f"says.{_key(one)} = {_value(_output(rule))}" for one, rule in effect.says.items()),
+        # Of a file that reads other parts of the answers nothing is said here.
+        *(
+            f"says.{_key(one)} = {_value(_output(rule))}"
+            for one, rule in effect.says.items()
+            if draft.native or effect.form == form
+        ),
     ]
 
 

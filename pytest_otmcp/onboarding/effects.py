@@ -43,6 +43,7 @@ class Effect:
         calls: how many calls show it.
         good: the answer to one of them.
         says: argument to where the answers say its value, and what that means.
+        form: where the document of the answers is that ``says`` looks into.
     """
 
     operation: str
@@ -51,6 +52,7 @@ class Effect:
     calls: int
     good: Mapping[str, object]
     says: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    form: str = ""
 
 
 def effect_of(

@@ -78,6 +78,7 @@ def _otherwise(name: str, asked: object, found: object) -> str:
 
 
 def _differences(reply: Reply, outputs: Mapping[str, object], requirement: str | None) -> list[Finding]:
+    """Return the outputs that are not as expected, of those that the binding knows how to find."""
     return [
         Finding(
             code="wrong_value",

@@ -213,6 +213,8 @@ class Reply:
 
 
 def _asked(binding: Binding, inputs: Mapping[str, object]) -> dict[str, object]:
+    """Return what the answer of a named command has to say, for each output that its binding finds; None for one that stands for nothing, as
+    only a forged record has it."""
     command, said = binding.command, [name for name in binding.outputs if name.startswith(SAYS)]
     if command is None or not said:
         return {}

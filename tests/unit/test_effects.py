@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from pytest_otmcp.onboarding.commands import _saying
 from pytest_otmcp.onboarding.effects import Call, Effect, effect_of
 from pytest_otmcp.subject.command import Draw
 
@@ -112,3 +113,43 @@ def test_a_command_without_arguments_does_the_same_each_time() -> None:
 )
 def test_what_the_arguments_do_not_explain_is_not_proposed(tool: Tool, values: dict[str, list[Any]]) -> None:
     assert observed(tool, values) is None
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        ({"now": "$level"}, {"level": {"path": "now"}}),
+        ({"now": 0}, {}),
+        ({"state": "$state"}, {"on": {"path": "state", "means": {"running": True, "stopped": False}}}),
+        ({"state": "running"}, {}),
+        ({"level": "low"}, {}),
+        (
+            {"pump": {"state": "$state"}, "now": "$level"},
+            {
+                "level": {"path": "now"},
+                "on": {"path": "pump.state", "means": {"running": True, "stopped": False}},
+            },
+        ),
+    ],
+)
+def test_what_every_answer_tells_of_an_argument_is_what_it_says(answer: Any, says: dict[str, Any]) -> None:
+    def told(value: Any, level: int, on: bool) -> Any:
+        if isinstance(value, dict):
+            return {name: told(member, level, on) for name, member in value.items()}
+        return {"$level": level, "$state": "running" if on else "stopped"}.get(value, value)
+
+    first = {"level": 3, "on": True}
+    calls = [
+        Call(
+            arguments=one,
+            operation="publish",
+            inputs={"payload": json.dumps(one)},
+            answer={"result": {"content": [{"type": "text", "text": json.dumps(told(answer, **one))}]}},
+        )
+        for one in (first, first, {**first, "level": 7}, {**first, "level": 50}, {**first, "on": False})
+    ]
+    found = effect_of("tool", calls, {}, ("payload",))
+    assert found is not None
+    saying = _saying(found, calls)
+    assert saying.says == says
+    assert saying.form == "json"
