@@ -41,4 +41,7 @@ def test_members_of_answers_that_no_reading_is_of_are_told(run: Any) -> None:
             for call in sample["calls"]:
                 if call.get("tool") == "read_temperature" and (call.get("envelope") or {}).get("data"):
                     call["envelope"]["data"]["trend"] = "rising"
-    assert _members_not_judged("modbus", facts, run) == {"read_temperature": ["trend"]}
+                if call.get("tool") == "set_pump_speed" and (call.get("envelope") or {}).get("data"):
+                    call["envelope"]["data"]["percent"] = 0
+    # What a command was given may be denied by its answer; "place" of a reading is what it was asked about.
+    assert _members_not_judged("modbus", facts, run) == {"read_temperature": ["trend"], "set_pump_speed": ["percent"]}
